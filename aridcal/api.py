@@ -34,18 +34,18 @@ from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.fleet.members import members
 from aridcal.jobs.fleet.trials import load_study
-from aridcal.jobs.plan.beforehand import beforehand
-from aridcal.jobs.plan.pose_design import Asked, Plan, as_table, design
+from aridcal.jobs.plan.pose_design import Plan, PlanRequest, as_table, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
 from aridcal.jobs.plan.row_exchange import Criterion
 from aridcal.jobs.prepare.campaign_text import draft
-from aridcal.jobs.prepare.guesses import nobody
+from aridcal.jobs.prepare.guesses import leave_open
 from aridcal.jobs.prepare.other_readings import refuse_misread
 from aridcal.runs.calibration_changes import Changes, changes
 from aridcal.runs.fleet_history import FleetHistory, over_time
 from aridcal.runs.fleet_run import FleetRun, calibrated_fleet, fleet_run
 from aridcal.runs.log_merge import merge
 from aridcal.runs.plan_files import MOST_PLANNED, check_endings, check_outputs, write_plan
-from aridcal.runs.proposal import tell
+from aridcal.runs.proposal import print_proposal
 from aridcal.runs.study_run import StudyRun, repeated, study_run
 from aridcal.system.errors import AridcalError, shortened
 from aridcal.system.progress import Progress, Screen, one_thread, working
@@ -95,9 +95,9 @@ def propose(
     """
     tables = [measurements] if isinstance(measurements, str | Path | pd.DataFrame) else list(measurements)
     places = {name: Path(place) for name, place in (packages or {}).items()}
-    proposed = draft(Path(urdf), tables, Path.cwd() / "campaign.yaml", nobody, answers, places, arguments)
+    proposed = draft(Path(urdf), tables, Path.cwd() / "campaign.yaml", leave_open, answers, places, arguments)
     title = ", ".join(file.name for file in proposed.rows.origin.files)
-    tell(proposed, title, Screen(force_jupyter=False))
+    print_proposal(proposed, title, Screen(force_jupyter=False))
     return proposed.campaign
 
 
@@ -175,7 +175,7 @@ def plan(
     job = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     robot = nominal_robot(job)
     with working() as progress:
-        request = Asked(int(n), optimal, None if region is None else Path(region), tuple(apart))
+        request = PlanRequest(int(n), optimal, None if region is None else Path(region), tuple(apart))
         planned = design(beforehand(job, robot, progress), request, progress)
     return PlannedPoses(planned, job, robot)
 

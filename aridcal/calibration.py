@@ -26,6 +26,7 @@ from aridcal.jobs.calibrate.pipeline import score
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.verdict import NOISE_UNKNOWN, VERDICTS
 from aridcal.pages.drawing.html import tag
+from aridcal.pages.drawing.notebook_tables import ERROR_FORMAT, Verified, headline
 from aridcal.pages.drawing.result_tables import (
     combination_table,
     effect_table,
@@ -37,7 +38,6 @@ from aridcal.pages.drawing.result_tables import (
     verification_table,
 )
 from aridcal.pages.drawing.scene import write_scene
-from aridcal.pages.drawing.shown import DECIMALS, Verified, headline
 from aridcal.pages.report.page import write_report
 from aridcal.runs.repair_folder import recalibrate
 from aridcal.runs.result_folder import write_folder
@@ -48,7 +48,7 @@ from aridcal.system.reading.regular_files import RESULT, read_file
 from aridcal.system.writing.whole_files import atomic_file
 
 if TYPE_CHECKING:
-    from aridcal.pages.drawing.plots import Plots
+    from aridcal.pages.drawing.notebook_plots import Plots
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -138,7 +138,10 @@ class Calibration:
         Raises:
             AridcalError: of a loaded calibration without its ``residuals.csv``, or with a damaged one.
         """
-        from aridcal.pages.drawing.plots import plots_of, plots_of_table  # matplotlib is slow to load, and few draw
+        from aridcal.pages.drawing.notebook_plots import (  # matplotlib is slow to load, and few draw
+            plots_of,
+            plots_of_table,
+        )
 
         if self.outcome is not None:
             return plots_of(self.outcome)
@@ -299,13 +302,13 @@ class Calibration:
     def __repr__(self) -> str:
         if not self._has_figures:
             return self._title
-        return "\n".join([self._title, self._headline.to_string(float_format=DECIMALS), *self._remarks])
+        return "\n".join([self._title, self._headline.to_string(float_format=ERROR_FORMAT), *self._remarks])
 
     def _repr_html_(self) -> str:
         title = tag("p", tag("b", self._title))
         if not self._has_figures:
             return title
-        table = self._headline.to_html(float_format=DECIMALS, border=0)
+        table = self._headline.to_html(float_format=ERROR_FORMAT, border=0)
         remarks = "".join(tag("div", remark) for remark in self._remarks)
         return f"{title}{table}{remarks}"
 

@@ -47,9 +47,9 @@ from aridcal.jobs.plan.pose_design import joint_table
 from aridcal.jobs.plan.travel import short_order
 from aridcal.system.errors import OutputError
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.wording import enumerated
-from aridcal.system.writing.apart import check_apart
-from aridcal.system.writing.table_writer import ENDINGS, write_table
+from aridcal.system.wording import enumeration
+from aridcal.system.writing.separate_paths import check_apart
+from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, write_table
 from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 
 
@@ -79,7 +79,7 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.poses is None:
         return _check(arguments)
-    if arguments.poses.suffix.lower() not in ENDINGS:
+    if arguments.poses.suffix.lower() not in WRITTEN_ENDINGS:
         raise OutputError(f"{arguments.poses}: should be a .csv or .parquet file")
     check_home(arguments.poses)
     check_apart([arguments.poses], [arguments.results, arguments.rows])
@@ -117,7 +117,7 @@ def _poses(out: Path, saved: SavedModel, checked: CheckResult) -> str:
     readings = readings[short_order(readings)]
     with atomic_file(out) as path:
         write_table(joint_table(readings, saved.final.model.robot, saved.measurements), path)
-    of = enumerated(list(dict.fromkeys(one.suspect for one in configurations)))
+    of = enumeration(list(dict.fromkeys(one.suspect for one in configurations)))
     return (
         f"{out}: {len(readings)} {'configuration' if len(readings) == 1 else 'configurations'} that would tell of {of}"
     )

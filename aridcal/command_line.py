@@ -15,7 +15,7 @@ from rich.text import Text
 
 from aridcal.system.errors import AridcalError, printable_lines, shortened
 from aridcal.system.interrupt import MESSAGE, SIGNALLED, leave
-from aridcal.system.progress import Screen, one_thread, unheard
+from aridcal.system.progress import Screen, one_thread, silence_stream
 from aridcal.system.writing.signals import Handler, Terminated, handling, terminate
 
 DONE, BUG, BAD_INPUT, NOT_GOOD = 0, 1, 2, 3
@@ -50,11 +50,11 @@ def run(body: Callable[[], int | None]) -> int:
         console.print(MESSAGE, soft_wrap=True)
         return TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     except BrokenPipeError:  # whoever read the output, `head` for instance, has seen enough
-        unheard(sys.stdout)
+        silence_stream(sys.stdout)
         return status or DONE
     except Exception as error:
         if isinstance(error, OSError) and error.errno in NO_ROOM:
-            unheard(sys.stdout)
+            silence_stream(sys.stdout)
             message = f"error: what was to be printed could not be written: {error.strerror}. Make room"
             console.print(message, soft_wrap=True, markup=False)
             return BAD_INPUT

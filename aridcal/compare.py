@@ -27,10 +27,10 @@ from aridcal.jobs.history.comparison import Comparison, compare, document, lines
 from aridcal.pages.compare_page import compare_page
 from aridcal.system.progress import Screen
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import atomic_folder, claimed
 
-FILES = frozenset({"compare.html", "compare.json"})
+COMPARISON_FILES = frozenset({"compare.html", "compare.json"})
 """All that is written."""
 
 
@@ -51,10 +51,10 @@ def _main(arguments: argparse.Namespace) -> int:
         return _exit_status(
             compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second)), screens(arguments)[0]
         )
-    check_apart((arguments.out / name for name in FILES), [arguments.first, arguments.second])
-    with claimed(arguments.out, "folder", FILES):
+    check_apart((arguments.out / name for name in COMPARISON_FILES), [arguments.first, arguments.second])
+    with claimed(arguments.out, "folder", COMPARISON_FILES):
         comparison = compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second))
-        with atomic_folder(arguments.out, FILES) as stage:
+        with atomic_folder(arguments.out, COMPARISON_FILES) as stage:
             text = json.dumps(finite(document(comparison)), indent=2, allow_nan=False)
             (stage / "compare.json").write_text(text + "\n", encoding="utf-8")
             page = compare_page(comparison, (str(arguments.first), str(arguments.second)))

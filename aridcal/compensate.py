@@ -51,23 +51,23 @@ import numpy as np
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.files.counting import counting
 from aridcal.files.query import Query, Remarks
-from aridcal.jobs.apply.joint_commands import Trajectory, compensate, correction_table, moved
+from aridcal.jobs.apply.joint_commands import Trajectory, commanded_columns, compensate, correction_table
 from aridcal.jobs.apply.programs.read_project import is_program
 from aridcal.jobs.apply.programs.rewrite import Request, correct_programs
 from aridcal.jobs.apply.programs.sentences import lines_of
 from aridcal.jobs.apply.target_poses import read_queries
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import CampaignError, OutputError, printable
-from aridcal.system.progress import SHOWN_REMARKS, Screen, told_on
+from aridcal.system.progress import SHOWN_REMARKS, Screen, console_progress
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
-from aridcal.system.writing.table_writer import ENDINGS, table_file, write_table
+from aridcal.system.writing.separate_paths import check_apart
+from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, table_file, write_table
 from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from aridcal.jobs.apply.stretches import Stretch
+    from aridcal.jobs.apply.stretches import TableStretch
 
 
 def parser() -> CommandParser:
@@ -150,7 +150,7 @@ def _main(arguments: argparse.Namespace) -> None:
         raise OutputError("several files are for robot programs: give one table of poses")
     if arguments.frames or arguments.at or arguments.start or arguments.zeros:
         raise OutputError("--frames, --at, --start and --zeros are for robot programs: a table has its own columns")
-    if arguments.out.suffix.lower() not in ENDINGS:
+    if arguments.out.suffix.lower() not in WRITTEN_ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
     check_apart([arguments.out], [arguments.calibration, *arguments.poses])
@@ -167,11 +167,11 @@ def _compensate(arguments: argparse.Namespace) -> None:
         _tabulate(calibration, arguments.grid, arguments.out, aside)
         return
     totals, trajectory = CommandTotals(calibration), Trajectory(calibration)
-    with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
+    with atomic_file(arguments.out) as path, table_file(path) as write, console_progress(aside) as progress:
         progress.at("finding the commands")
         for query, stretch in read_queries(calibration, arguments.poses[0], poses=True):
 
-            def told(rows: int, stretch: Stretch = stretch) -> None:
+            def told(rows: int, stretch: TableStretch = stretch) -> None:
                 progress.share(stretch.share(rows))
 
             table = compensate(calibration, query, trajectory, told)
@@ -186,7 +186,7 @@ def _correct_programs(arguments: argparse.Namespace) -> None:
         arguments.calibration, tuple(arguments.poses), arguments.out, arguments.frames, _values(arguments.at),
         _joints(arguments.start), arguments.zeros, arguments.of,
     )  # fmt: skip
-    with told_on(aside) as progress:
+    with console_progress(aside) as progress:
         answer = correct_programs(request, progress)
     aside.say(*map(printable, lines_of(answer)))
 
@@ -260,14 +260,14 @@ def _tabulate(calibration: SavedModel, points: int, out: Path, console: Screen) 
     import pandas as pd  # slow to load, and robot programs do without
 
     robot, settings = calibration.final.model.robot, calibration.measurements
-    with told_on(console) as progress:
+    with console_progress(console) as progress:
         progress.at("making the table")
         found = correction_table(calibration, points, progress)
     names = [settings.columns.get(name, name) for name in robot.readings]
     own = counting(settings, robot.readings, robot.kinds)
     cells, deltas = own.cells(np.array(list(product(*found.axes)))), own.steps(found.delta.reshape(-1, len(names)))
     table = pd.DataFrame(np.hstack([cells, deltas]), columns=[*names, *(f"delta_{name}" for name in names)])
-    held = [name for name, moves in zip(names, moved(calibration), strict=True) if not moves]
+    held = [name for name, moves in zip(names, commanded_columns(calibration), strict=True) if not moves]
     table = table.drop(columns=[*held, *(f"delta_{name}" for name in held)])
     with atomic_file(out) as path:
         write_table(table, path)

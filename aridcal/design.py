@@ -43,13 +43,13 @@ from rich.text import Text
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.files.campaign import load_campaign, nominal_robot
-from aridcal.jobs.plan.beforehand import beforehand
 from aridcal.jobs.plan.discrimination import duel_lines
-from aridcal.jobs.plan.pose_design import Asked, Plan, design
+from aridcal.jobs.plan.pose_design import Plan, PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
 from aridcal.jobs.plan.row_exchange import Criterion
 from aridcal.runs.plan_files import MOST_PLANNED, PLAN_ENDINGS, check_endings, check_outputs, write_plan
 from aridcal.system.errors import OutputError
-from aridcal.system.progress import Screen, told_on
+from aridcal.system.progress import Screen, console_progress
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.whole_files import claimed
 
@@ -128,9 +128,9 @@ def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     robot = nominal_robot(campaign)
     check_outputs(campaign, robot, out)
     console, aside = screens(arguments)
-    with told_on(aside) as progress:
+    with console_progress(aside) as progress:
         setup = beforehand(campaign, robot, progress)
-        request = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
+        request = PlanRequest(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
         plan = design(setup, request, progress)
         write_plan(plan, campaign, robot, out, arguments.settle)
     _report(plan, arguments.apart, out, console)

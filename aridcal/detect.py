@@ -27,31 +27,31 @@ from aridcal.command_line import CommandParser, command, command_parser, for_scr
 from aridcal.files.instrument_settings import ArmCameraSettings
 from aridcal.files.tables import Table, read_tables
 from aridcal.jobs.boards.advice import ENOUGH_IMAGES, advice
-from aridcal.jobs.boards.camera_file import CAMERA_FILE, camera_text, known_camera
-from aridcal.jobs.boards.finders import MIRRORED, Found, find
+from aridcal.jobs.boards.camera_file import CAMERA_FILE, camera_by_name, camera_text
+from aridcal.jobs.boards.finders import MIRRORED, ImageMarks, find
 from aridcal.jobs.boards.grey_images import grey_image, listed_images
 from aridcal.jobs.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
-from aridcal.jobs.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
+from aridcal.jobs.boards.options import BOARDS, TAGS, Defaults, add_board_options, board_of, chosen, option_text
 from aridcal.jobs.boards.patterns import AnyBoard, Cube
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.system.errors import AridcalError, MeasurementError, listed, printable, shortened
+from aridcal.system.errors import AridcalError, MeasurementError, name_list, printable, shortened
 from aridcal.system.progress import SHOWN_REMARKS, Screen
 from aridcal.system.reading.regular_files import SETTINGS, read_file
 from aridcal.system.reading.user_names import check_name, path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import in_plain_words
 from aridcal.system.writing.whole_files import atomic_table, claimed_table
 
-BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
+FILES_BESIDE_MARKS = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
 """Written beside the table."""
 
-KINDS: Defaults = {**BOARDS, **TAGS}
+MARK_KINDS: Defaults = {**BOARDS, **TAGS}
 
-COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
+MARK_COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
 
 
 @dataclass(frozen=True)
-class Seen:
+class BoardImages:
     """Images with the board in them, and images refused.
 
     Attributes:
@@ -61,18 +61,18 @@ class Seen:
         shot: Number of each image, by name.
     """
 
-    good: dict[str, Found]
+    good: dict[str, ImageMarks]
     refused: dict[str, str]
     size: tuple[int, int]
     shot: dict[str, int]
 
-    def without(self, why: dict[str, str]) -> Seen:
+    def without(self, why: dict[str, str]) -> BoardImages:
         """These images with more of them refused, with the reasons ``why`` by name."""
         good = {name: found for name, found in self.good.items() if name not in why}
-        return Seen(good, self.refused | why, self.size, self.shot)
+        return BoardImages(good, self.refused | why, self.size, self.shot)
 
 
-def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> Seen:
+def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> BoardImages:
     """Find a board in images; those of another size than the first good one are refused: they are of another camera.
 
     Args:
@@ -83,7 +83,7 @@ def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> Seen:
     Raises:
         AridcalError: it is in none of them. The message says why, and what is there instead.
     """
-    good: dict[str, Found] = {}
+    good: dict[str, ImageMarks] = {}
     refused: dict[str, str] = {}
     size = (0, 0)
     for name, path in track(images.items(), "looking", total=len(images), console=console, transient=True):
@@ -100,7 +100,7 @@ def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> Seen:
             refused[name] = str(refusal)
     if not good:
         raise AridcalError(_nothing(images, refused))
-    return Seen(good, refused, size, {name: k + 1 for k, name in enumerate(images)})
+    return BoardImages(good, refused, size, {name: k + 1 for k, name in enumerate(images)})
 
 
 def _nothing(images: dict[str, Path], refused: dict[str, str]) -> str:
@@ -120,7 +120,7 @@ def _nothing(images: dict[str, Path], refused: dict[str, str]) -> str:
     return f"{sentence}. {hint[0].upper()}{hint[1:]}" if hint else sentence
 
 
-def pixels_table(images: Seen, camera: str) -> pd.DataFrame:
+def pixels_table(images: BoardImages, camera: str) -> pd.DataFrame:
     """All marks as rows: image, camera, marker, u, v, shot."""
     parts = [
         pd.DataFrame(
@@ -144,10 +144,10 @@ def joint_rows(path: Path) -> tuple[Table, dict[str, int]]:
     """
     table = read_tables([path])
     table.require(["image"], "It has the name of the image that belongs to each row.")
-    reserved = [name for name in COLUMNS[1:] if name in table.names]
+    reserved = [name for name in MARK_COLUMNS[1:] if name in table.names]
     if reserved:
         raise MeasurementError(
-            f"{path}: the columns {listed(reserved)} are written by this command: rename or delete them"
+            f"{path}: the columns {name_list(reserved)} are written by this command: rename or delete them"
         )
     rows: dict[str, int] = {}
     for row, name in enumerate(table.texts("image")):
@@ -167,7 +167,7 @@ def parser() -> CommandParser:
     arguments.add_argument("images", type=path_argument, nargs="+", help="folders of images, or images")
     arguments.add_argument("-o", "--out", type=path_argument, required=True, help="table of corners to write, .csv")
     arguments.add_argument(
-        "--board", choices=list(KINDS), default="charuco", help="what to look for (default: charuco)"
+        "--board", choices=list(MARK_KINDS), default="charuco", help="what to look for (default: charuco)"
     )
     arguments.add_argument("--joints", type=path_argument, metavar="CSV", help="joints of each image, .csv or .parquet")
     arguments.add_argument("--camera", default="eye", help="the camera's name in the table (default: eye)")
@@ -180,31 +180,31 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
     check_name(arguments.camera, "--camera", AridcalError)
-    options = chosen(arguments, arguments.board, KINDS)
+    options = chosen(arguments, arguments.board, MARK_KINDS)
     board = board_of(arguments.board, options)
     assert not isinstance(board, Cube)
     # The numbers of --intrinsics may be in the camera's file beside the table, and are what is written there again.
     check_apart([out, out.with_name(REFUSED)], [arguments.joints, arguments.intrinsics])
-    with claimed_table(out, BESIDE):
-        camera = known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
+    with claimed_table(out, FILES_BESIDE_MARKS):
+        camera = camera_by_name(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
         stated_text = read_file(arguments.intrinsics, AridcalError, SETTINGS) if camera else b""
         joints = joint_rows(arguments.joints) if arguments.joints else None
         images = listed_images(arguments.images)
-        check_apart([out, *(out.with_name(name) for name in BESIDE)], images.values())
+        check_apart([out, *(out.with_name(name) for name in FILES_BESIDE_MARKS)], images.values())
         if joints is not None and not set(images) & set(joints[1]):
             first = next(iter(images))
             raise MeasurementError(
                 f"{arguments.joints}: has no row for any of the images: its column `image` needs names as {first!r}"
             )
         _, console = screens(arguments)
-        console.say(f"looking for {arguments.board} {as_written(options)}")
+        console.say(f"looking for {arguments.board} {option_text(options)}")
         looked = look(images, board, console)
         remarks = _write(looked, out, arguments.camera, camera, stated_text, joints)
     console.say(*remarks)
 
 
 def _write(
-    seen: Seen,
+    seen: BoardImages,
     out: Path,
     camera: str,
     known_lens: ArmCameraSettings | None,
@@ -225,7 +225,7 @@ def _write(
         lacking = [name for name in seen.good if name not in joints[1]]
         seen = seen.without(dict.fromkeys(lacking, "the table of joints has no row for this image"))
         unseen = sorted(set(joints[1]) - set(seen.shot))
-        remarks += [f"{len(unseen)} rows of the table of joints name no image: {listed(unseen)}"] if unseen else []
+        remarks += [f"{len(unseen)} rows of the table of joints name no image: {name_list(unseen)}"] if unseen else []
     if not seen.good:
         name, why = next(iter(seen.refused.items()))
         raise AridcalError(f"no image is left. {shortened(printable(name))}: {why}")
@@ -236,7 +236,7 @@ def _write(
         table = pd.concat([table, cells.iloc[rows].reset_index(drop=True)], axis=1)
     refused = [(seen.shot[name], name, why) for name, why in seen.refused.items()]
     text = camera_text(camera, lens, seen.size, len(seen.good)) if lens else ""
-    with atomic_table(out, BESIDE) as folder:
+    with atomic_table(out, FILES_BESIDE_MARKS) as folder:
         table.to_csv(folder / out.name, index=False, float_format="%.17g")
         in_plain_words(pd.DataFrame(refused, columns=["shot", "image", "why"])).to_csv(folder / REFUSED, index=False)
         if text or stated_text:  # beside the table, where `init` looks for it
@@ -246,7 +246,7 @@ def _write(
     return [*lines, *remarks, *([f"{out.parent / CAMERA}:", text.rstrip()] if text else []), found]
 
 
-def _with_own_lens(seen: Seen) -> tuple[Seen, Lens | None, str]:
+def _with_own_lens(seen: BoardImages) -> tuple[BoardImages, Lens | None, str]:
     """Estimate the camera's numbers; images that contradict the others are refused, once, and the rest estimated anew."""
     try:
         lens = estimate(list(seen.good.values()), seen.size)
@@ -260,7 +260,7 @@ def _with_own_lens(seen: Seen) -> tuple[Seen, Lens | None, str]:
     return seen, lens, ""
 
 
-def _with_known_lens(seen: Seen, camera: ArmCameraSettings) -> Seen:
+def _with_known_lens(seen: BoardImages, camera: ArmCameraSettings) -> BoardImages:
     """Refuse images that do not show the board as this camera would."""
     if (camera.width, camera.height) != seen.size:
         raise AridcalError(

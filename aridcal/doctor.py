@@ -49,7 +49,7 @@ ARM = """\
     <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
 </robot>
 """
-TOOL = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
+TOOL_MESH = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
 SCENARIO = """\
 format: 1
 robot: {urdf: arm.urdf, tip: c}
@@ -148,7 +148,7 @@ def _attempt(what: str, look: Callable[[], Finding]) -> Finding:
 def _round_trip() -> Finding:
     """Simulate a small wrong robot, calibrate it, write all results, and see whether it came out right."""
     from aridcal.files.yaml_file import load_settings
-    from aridcal.jobs.calibrate.key_figures import overall
+    from aridcal.jobs.calibrate.key_figures import overall_error
     from aridcal.jobs.calibrate.pipeline import identify
     from aridcal.jobs.calibrate.saved_model import SavedModel
     from aridcal.jobs.simulate.scenario import Scenario
@@ -159,7 +159,7 @@ def _round_trip() -> Finding:
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         (home / "arm.urdf").write_text(ARM)
-        (home / "tool.obj").write_text(TOOL)
+        (home / "tool.obj").write_text(TOOL_MESH)
         (home / "scenario.yaml").write_text(SCENARIO)
         write_campaign(simulate(load_settings(home / "scenario.yaml", Scenario)), home, home)
         outcome = identify(home / "campaign.yaml")
@@ -167,7 +167,8 @@ def _round_trip() -> Finding:
         SavedModel.load(home / "results")
     test = outcome.parts()["test"]
     before, after = (
-        overall(s.residual, test, outcome.measurements, outcome.noise) for s in (outcome.stages[0], outcome.stages[-1])
+        overall_error(s.residual, test, outcome.measurements, outcome.noise)
+        for s in (outcome.stages[0], outcome.stages[-1])
     )
     said = f"{before:.2f} mm before, {after:.2f} mm calibrated (noise 0.17), {time.perf_counter() - started:.1f} s"
     wrong = after > GOOD_ENOUGH * 0.1 * 3**0.5

@@ -31,12 +31,12 @@ from aridcal.command_line import (
     for_scripts,
     screens,
 )
-from aridcal.jobs.fleet.members import TAKEN, members
-from aridcal.jobs.fleet.run_table import NAME
-from aridcal.runs.fleet_run import PAGE, calibrated_fleet, summary
-from aridcal.system.progress import told_on
+from aridcal.jobs.fleet.members import RESERVED_NAMES_OF_FLEET, members
+from aridcal.jobs.fleet.run_table import FLEET_TABLE
+from aridcal.runs.fleet_run import FLEET_PAGE, calibrated_fleet, summary
+from aridcal.system.progress import console_progress
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 
 if TYPE_CHECKING:
     pass
@@ -62,11 +62,11 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     fleet = members(arguments.campaigns, out)
-    check_apart((out / name for name in TAKEN), (member.campaign for member in fleet))
+    check_apart((out / name for name in RESERVED_NAMES_OF_FLEET), (member.campaign for member in fleet))
     console, aside = screens(arguments)
-    with told_on(aside) as progress:
+    with console_progress(aside) as progress:
         ran = calibrated_fleet(fleet, out, arguments.scheduler, progress)
-    console.say(*summary(ran), f"table: {out / NAME}", f"page: {out / PAGE}")
+    console.say(*summary(ran), f"table: {out / FLEET_TABLE}", f"page: {out / FLEET_PAGE}")
     return NOT_GOOD if ran.failed or ran.remaining else DONE
 
 

@@ -36,11 +36,11 @@ from aridcal.pages.history_page import (
 )
 from aridcal.system.progress import Screen
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import write_table
 from aridcal.system.writing.whole_files import atomic_folder, claimed
 
-FILES = frozenset({"history.html", "history.csv"})
+HISTORY_FILES = frozenset({"history.html", "history.csv"})
 """All that is written."""
 
 SHOWN_ROBOTS = 12
@@ -62,10 +62,10 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         return _print_remarks(history(read_runs(arguments.folder), arguments.robot), screens(arguments)[0])
-    check_apart((arguments.out / name for name in FILES), tables_below(arguments.folder))
-    with claimed(arguments.out, "folder", FILES):
+    check_apart((arguments.out / name for name in HISTORY_FILES), tables_below(arguments.folder))
+    with claimed(arguments.out, "folder", HISTORY_FILES):
         fleet_history = history(read_runs(arguments.folder), arguments.robot)
-        with atomic_folder(arguments.out, FILES) as stage:
+        with atomic_folder(arguments.out, HISTORY_FILES) as stage:
             page = history_page(fleet_history, str(arguments.folder))
             (stage / "history.html").write_text(page, encoding="utf-8", errors="replace")
             write_table(constant_table(fleet_history), stage / "history.csv")

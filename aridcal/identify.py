@@ -45,11 +45,11 @@ from aridcal.jobs.fleet.keys import files_of
 from aridcal.jobs.head1992.observations import CACHE
 from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.system.errors import OutputError, shortened
-from aridcal.system.progress import told_on
-from aridcal.system.reading.freed import held
+from aridcal.system.progress import console_progress
+from aridcal.system.reading.memory_release import frozen_garbage
 from aridcal.system.reading.regular_files import RESULT, read_file
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import claimed
 
 if TYPE_CHECKING:
@@ -64,15 +64,20 @@ SEED_DIGITS = 18
 SHOWN_STATISTICS = ("rms", "p95", "max")
 """Statistics of an error on the screen; of all channels but the first only two, so that the table keeps its width."""
 
-SHOWN_AS = {"rms": "RMS", "p95": "p95", "max": "max"}
+STATISTIC_HEADINGS = {"rms": "RMS", "p95": "p95", "max": "max"}
 
 
 def summary(outcome: Outcome, console: Console) -> None:
     """Print the figures that matter."""
-    from aridcal.jobs.calibrate.folder import what_moved
-    from aridcal.jobs.calibrate.key_figures import another_day, every_held_out_row, over_time
+    from aridcal.jobs.calibrate.folder import step_in_words
+    from aridcal.jobs.calibrate.key_figures import every_held_out_row, over_time, verification_agreement
     from aridcal.jobs.calibrate.verdict import VERDICTS
-    from aridcal.pages.drawing.words import NOT_FOR_A_CONTROLLER, kept_in_words, noise_unknown_in_words, scale_in_words
+    from aridcal.pages.drawing.words import (
+        NOT_FOR_A_CONTROLLER,
+        noise_unknown_in_words,
+        scale_in_words,
+        tolerance_in_words,
+    )
 
     if not outcome.verdict.for_controller:
         console.print(NOT_FOR_A_CONTROLLER, markup=False, style="bold red")
@@ -82,20 +87,20 @@ def summary(outcome: Outcome, console: Console) -> None:
     if over_time(outcome):
         console.print(over_time(outcome), markup=False)
     for effect in outcome.effects:
-        moved = what_moved(effect.effect, outcome.measurements)
+        moved = step_in_words(effect.effect, outcome.measurements)
         console.print(_effect_line(outcome, effect) + (f": {moved}" if moved else ""), markup=False)
     if outcome.diagnosis is not None and outcome.diagnosis.tested:
         console.print(f"{outcome.diagnosis.tested:,} candidates tested", markup=False)
     if outcome.verification is not None:
         for line in _verification_lines(outcome.verification):
             console.print(line, markup=False)
-    verified = another_day(outcome)
+    verified = verification_agreement(outcome)
     if verified is not None:
         console.print(verified[1], markup=False)
     console.print(_noise_line(outcome), markup=False)
     for line in scale_in_words(outcome):
         console.print(line, markup=False)
-    for _, sentence in (*kept_in_words(outcome, asked=True), *kept_in_words(outcome, asked=False)):
+    for _, sentence in (*tolerance_in_words(outcome, asked=True), *tolerance_in_words(outcome, asked=False)):
         console.print(sentence, markup=False)
     verdict = outcome.verdict
     if verdict.noise_unknown:
@@ -124,7 +129,7 @@ def _error_table(outcome: Outcome) -> Table:
     several = len(outcome.measurements.blocks) > 1
     for channel, key in columns:
         whose = f"{channel.name} " if several else ""
-        table.add_column(f"{whose}{SHOWN_AS[key]}, {channel.shown}", justify="right")
+        table.add_column(f"{whose}{STATISTIC_HEADINGS[key]}, {channel.shown}", justify="right")
     for stage in outcome.stages:
         figures = errors(stage.residual, mask, outcome.channels)
         table.add_row(stage.name, *(f"{figures[channel.key][key]:.3f}" for channel, key in columns))
@@ -134,13 +139,13 @@ def _error_table(outcome: Outcome) -> Table:
 def _effect_line(outcome: Outcome, effect: NamedEffect) -> str:
     """A line on an effect: others that would do as well in its place, and its gain on the held-out rows, if there are any."""
     from aridcal.jobs.calibrate.key_figures import or_as_well
-    from aridcal.jobs.calibrate.outcome import said
+    from aridcal.jobs.calibrate.outcome import rms_in_words
 
     source = "declared" if effect.declared else "found"
     gain = ""
     if len(effect.before):
         all_rows = np.ones(len(effect.before), dtype=bool)
-        without, with_it = (said(r, all_rows, outcome.measurements) for r in (effect.before, effect.after))
+        without, with_it = (rms_in_words(r, all_rows, outcome.measurements) for r in (effect.before, effect.after))
         gain = f": {without} without it, {with_it} with it"
     return f"{source}: {effect.effect.label} [{', '.join(effect.effect.motion)}]{or_as_well(effect)}{gain}"
 
@@ -155,15 +160,15 @@ def _noise_line(outcome: Outcome) -> str:
 
 def _verification_lines(v: Verification) -> list[str]:
     """Lines on the errors on another day's data."""
-    from aridcal.jobs.calibrate.outcome import said
+    from aridcal.jobs.calibrate.outcome import rms_in_words
 
     sound = ~v.outlier
-    figures = ", ".join(f"{name} {said(r, sound, v.measurements)}" for name, r in v.residuals.items())
+    figures = ", ".join(f"{name} {rms_in_words(r, sound, v.measurements)}" for name, r in v.residuals.items())
     gross = f" ({v.outlier.sum()} gross outliers excluded)" if v.outlier.any() else ""
     lines = [f"note: {v.left_out}"] if v.left_out else []
     lines.append(f"verification on {v.file}, {sound.sum()} rows{gross}: {figures}")
     if v.realigned is not None:
-        lines.append(f"  with both frames refitted: {said(v.realigned, sound, v.measurements)}")
+        lines.append(f"  with both frames refitted: {rms_in_words(v.realigned, sound, v.measurements)}")
     return lines
 
 
@@ -209,7 +214,7 @@ def _main(arguments: argparse.Namespace) -> int:
 
 def _identify(arguments: argparse.Namespace, out: Path) -> int:
     console, aside = screens(arguments)
-    with told_on(aside) as progress:
+    with console_progress(aside) as progress:
         campaign = load_campaign(arguments.campaign)
         if arguments.tolerance is not None:
             campaign = campaign.with_tolerance(arguments.tolerance)
@@ -220,7 +225,7 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         from aridcal.jobs.calibrate.pipeline import identify
         from aridcal.jobs.prepare.other_readings import refuse_misread
 
-        with held():
+        with frozen_garbage():
             outcome = identify(job, verify=arguments.verify, progress=progress, judge=refuse_misread)
             written = write_folder(outcome, out, progress)
     summary(outcome, console)

@@ -17,11 +17,11 @@ from pathlib import Path
 
 from aridcal.command_line import CommandParser, answer, ask, command, command_parser, for_scripts, screens
 from aridcal.jobs.prepare.campaign_text import draft
-from aridcal.jobs.prepare.guesses import nobody
-from aridcal.runs.proposal import tell
+from aridcal.jobs.prepare.guesses import leave_open
+from aridcal.runs.proposal import print_proposal
 from aridcal.system.errors import OutputError, printable, shortened
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import atomic_file, claimed
 
 
@@ -92,7 +92,7 @@ def _package(text: str) -> tuple[str, Path]:
 
 
 def _main(arguments: argparse.Namespace) -> None:
-    out, choose = arguments.out, ask if sys.stdin.isatty() and not arguments.quiet else nobody
+    out, choose = arguments.out, ask if sys.stdin.isatty() and not arguments.quiet else leave_open
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
     check_apart(
@@ -104,7 +104,7 @@ def _main(arguments: argparse.Namespace) -> None:
         with atomic_file(out) as path:
             path.write_text(proposed.campaign.text, encoding="utf-8")
     console, _ = screens(arguments)
-    tell(proposed, str(out), console)
+    print_proposal(proposed, str(out), console)
     console.say(f"next: aridcal identify {out}")
 
 

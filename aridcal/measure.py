@@ -22,17 +22,17 @@ from aridcal.command_line import CommandParser, command, command_parser, for_scr
 from aridcal.files.quantities import STD
 from aridcal.files.tables import Table
 from aridcal.jobs.head1992.head_settings import POSE_COLUMNS, HeadSettings, range_columns
-from aridcal.jobs.head1992.shots import THUMBNAIL, Measured, load, measure_shots
+from aridcal.jobs.head1992.shots import THUMBNAIL, ShotResult, load, measure_shots
 from aridcal.jobs.head1992.sonar import contradictions
 from aridcal.pages.drawing.html import tag
 from aridcal.system.errors import AridcalError, printable, shortened
 from aridcal.system.progress import SHOWN_REMARKS, Screen
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import in_plain_words
 from aridcal.system.writing.whole_files import atomic_table, claimed_table
 
-BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
+FILES_BESIDE_POSES = REFUSED, SHEET = "refused.csv", "shots.html"
 """Written beside the table: the shots that were not measured, and a page with all images."""
 
 REFUSED_COLUMNS = ("shot", "image", "why")
@@ -41,7 +41,7 @@ main { display: grid; grid-template-columns: repeat(auto-fill, minmax(256px, 1fr
 figure { margin: 0 } figcaption { font-size: 12px; overflow-wrap: anywhere } .refused { color: #a11 }"""
 
 
-def measured_table(table: Table, results: Sequence[Measured], head: HeadSettings) -> pd.DataFrame:
+def measured_table(table: Table, results: Sequence[ShotResult], head: HeadSettings) -> pd.DataFrame:
     """Write measured shots as rows of ``measurements.csv``: shot, the user's other columns, the pose, its ``std_*``.
 
     Args:
@@ -63,14 +63,14 @@ def measured_table(table: Table, results: Sequence[Measured], head: HeadSettings
     return pd.concat([own, measured], axis=1)
 
 
-def refused_table(table: Table, results: Sequence[Measured]) -> pd.DataFrame:
+def refused_table(table: Table, results: Sequence[ShotResult]) -> pd.DataFrame:
     """Write the shots that were not measured, and rows of the table that could not be read, as rows of ``refused.csv``."""
     shots = [(m.shot.line, m.shot.image, m.why) for m in results if m.why]
     unread = [(remark.row or 0, "", remark.why) for remark in table.refused]
     return pd.DataFrame([*shots, *unread], columns=list(REFUSED_COLUMNS))
 
 
-def contact_sheet(results: Sequence[Measured], title: str) -> Markup:
+def contact_sheet(results: Sequence[ShotResult], title: str) -> Markup:
     """Show all images with what was found in them, as one page that needs nothing else.
 
     Args:
@@ -92,7 +92,7 @@ def contact_sheet(results: Sequence[Measured], title: str) -> Markup:
     return Markup("<!doctype html>") + tag("html", head, body, lang="en")
 
 
-def _found(m: Measured) -> str:
+def _found(m: ShotResult) -> str:
     """Say what a shot shows, and how exactly; nothing for one that was refused."""
     if m.std is None or m.fiducials is None:
         return ""
@@ -101,7 +101,7 @@ def _found(m: Measured) -> str:
     return f"square {m.square}, {count} fiducials, std of the tip {um:.0f} µm, {mrad:.2f} mrad"
 
 
-def sonar_remarks(results: Sequence[Measured], std: float) -> list[str]:
+def sonar_remarks(results: Sequence[ShotResult], std: float) -> list[str]:
     """Say which sonars contradict the camera throughout.
 
     Args:
@@ -130,12 +130,12 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
     check_apart(_written(out), [arguments.head])
-    with claimed_table(out, BESIDE):
+    with claimed_table(out, FILES_BESIDE_POSES):
         _measure(arguments.head, out, screens(arguments)[1])
 
 
 def _written(out: Path) -> list[Path]:
-    return [out, *(out.with_name(name) for name in BESIDE)]
+    return [out, *(out.with_name(name) for name in FILES_BESIDE_POSES)]
 
 
 def _measure(settings: Path, out: Path, console: Screen) -> None:
@@ -151,7 +151,7 @@ def _measure(settings: Path, out: Path, console: Screen) -> None:
     if len(refused) == rows:
         first = lines[0] if lines else "it has no rows"
         raise AridcalError(f"{head.shots}: nothing could be measured. First: {first}")
-    with atomic_table(out, BESIDE) as folder:
+    with atomic_table(out, FILES_BESIDE_POSES) as folder:
         measured_table(table, results, head).to_csv(folder / out.name, index=False, float_format="%.17g")
         in_plain_words(refused).to_csv(folder / REFUSED, index=False)
         (folder / SHEET).write_text(contact_sheet(results, f"Shots of {head.shots.name}"), encoding="utf-8")

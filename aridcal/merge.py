@@ -31,14 +31,14 @@ from aridcal.jobs.boards.camera_file import CAMERA_FILE
 from aridcal.jobs.boards.camera_frames import png_file
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.merge.bag_camera import BagCamera, camera_file, intrinsics
-from aridcal.jobs.merge.camera_images import pictured
-from aridcal.jobs.merge.merging import merged
-from aridcal.jobs.prepare.guesses import nobody
+from aridcal.jobs.merge.camera_images import choose_images
+from aridcal.jobs.merge.log_rows import merged
+from aridcal.jobs.prepare.guesses import leave_open
 from aridcal.pages.merge_page import merge_page
-from aridcal.runs.log_merge import Logs, read_logs, tell
+from aridcal.runs.log_merge import Logs, print_merge, read_logs
 from aridcal.system.progress import SHOWN_REMARKS
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import table_file
 from aridcal.system.writing.whole_files import atomic_folder, atomic_table, claimed, claimed_table
 
@@ -79,7 +79,7 @@ def _main(arguments: argparse.Namespace) -> None:
     out, page = arguments.out, arguments.out.with_suffix(".html").name
     check_apart([out, out.with_name(page)], [arguments.joints, arguments.tracker, arguments.urdf])
     with claimed_table(out, [page]):
-        choose = ask if sys.stdin.isatty() and not arguments.quiet else nobody
+        choose = ask if sys.stdin.isatty() and not arguments.quiet else leave_open
         logs = read_logs(
             arguments.joints, arguments.tracker, arguments.urdf, arguments.tip, choose, dict(arguments.set)
         )
@@ -93,7 +93,7 @@ def _main(arguments: argparse.Namespace) -> None:
                 write(found.table)
             (stage / page).write_text(merge_page(found, names, out), encoding="utf-8", errors="replace")
     console, _ = screens(arguments)
-    tell(found, console)
+    print_merge(found, console)
     console.say(
         f"{out}: {len(found.table)} rows; {out.with_suffix('.html')} shows what was paired",
         f"next: aridcal init --urdf {arguments.urdf} --measurements {out}",
@@ -103,7 +103,7 @@ def _main(arguments: argparse.Namespace) -> None:
 def _write_images(logs: Logs, camera: BagCamera, arguments: argparse.Namespace) -> None:
     """Write the table of joints with the image of each standstill, the images and, where it is known, their camera."""
     out: Path = arguments.out
-    found = pictured(logs.robot, logs.joints, camera, logs.frames)
+    found = choose_images(logs.robot, logs.joints, camera, logs.frames)
     folder = out.with_name(f"{out.stem}_images")
     names = {int(number): f"stop_{k + 1:03d}.png" for k, number in enumerate(found.frames)}
     numbers, remark = intrinsics(camera, found.size)

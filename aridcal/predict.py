@@ -32,10 +32,10 @@ from aridcal.files.query import Query, Remarks
 from aridcal.jobs.apply.target_poses import predict, read_queries
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import CampaignError, OutputError
-from aridcal.system.progress import SHOWN_REMARKS, Screen, told_on
+from aridcal.system.progress import SHOWN_REMARKS, Screen, console_progress
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
-from aridcal.system.writing.table_writer import ENDINGS, table_file
+from aridcal.system.writing.separate_paths import check_apart
+from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, table_file
 from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 
 
@@ -56,7 +56,7 @@ def parser() -> CommandParser:
 
 
 def _main(arguments: argparse.Namespace) -> None:
-    if arguments.out.suffix.lower() not in ENDINGS:
+    if arguments.out.suffix.lower() not in WRITTEN_ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
     check_apart([arguments.out], [arguments.calibration, arguments.query])
@@ -72,7 +72,7 @@ def _predict(arguments: argparse.Namespace) -> None:
         calibration = calibration.of_link(arguments.of, arguments.inside)
     totals = PredictionTotals(calibration.measurements.columns.get("x", "x"))
     _, aside = screens(arguments)
-    with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
+    with atomic_file(arguments.out) as path, table_file(path) as write, console_progress(aside) as progress:
         progress.at("predicting")
         for query, stretch in read_queries(calibration, arguments.query):
             table = predict(calibration, query)

@@ -22,7 +22,7 @@ import pandas as pd
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.jobs.boards.bodies import cup, holder, seat_rise, stl
-from aridcal.jobs.boards.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
+from aridcal.jobs.boards.options import ALL_BOARDS, Defaults, add_board_options, board_of, chosen, length, option_text
 from aridcal.jobs.boards.patterns import Marks, Tags, drawing, marks, square_strip
 from aridcal.jobs.boards.sheet import MM, Sheet, on_paper, pdf, svg
 from aridcal.jobs.head1992.square import STRIP_SQUARES
@@ -33,14 +33,14 @@ from aridcal.system.writing.whole_files import atomic_file, atomic_table
 MARKERS = "markers.csv"
 """Written beside a board: the places of its marks."""
 
-SQUARES: Defaults = {"square": {"first": 0}, "strip": {}}
+SQUARE_SHEETS: Defaults = {"square": {"first": 0}, "strip": {}}
 
 BODIES: Defaults = {
     "holder": {"ball": 0.02, "apart": 0.05, "bolt": 0.0055},
     "cup": {"ball": 0.02, "bolts": 4, "circle": 0.05, "bolt": 0.0066},
 }
 
-ALL: Defaults = {**ALL_BOARDS, **SQUARES, **BODIES}
+ALL: Defaults = {**ALL_BOARDS, **SQUARE_SHEETS, **BODIES}
 
 # Index of a square: its bars have room for three digits.
 MOST_SQUARES = 1000
@@ -55,7 +55,7 @@ def markers_table(found: Marks) -> pd.DataFrame:
 
 def sheet_of(what: str, options: dict[str, Any]) -> tuple[Sheet, Marks | None]:
     """What is drawn, without a margin, and its marks where a campaign can use them."""
-    if what in SQUARES:
+    if what in SQUARE_SHEETS:
         first = options.get("first", 0)
         if not 0 <= first < MOST_SQUARES:
             raise CampaignError(f"--first: {first}; squares have the numbers 0 to {MOST_SQUARES - 1}")
@@ -111,7 +111,7 @@ def _print_body(what: str, options: dict[str, Any], out: Path) -> list[str]:
 
 def _print_sheet(what: str, options: dict[str, Any], out: Path) -> list[str]:
     plain, marks_found = sheet_of(what, options)
-    sheet = on_paper(plain, f"aridcal print {what} {as_written(options)}".strip())
+    sheet = on_paper(plain, f"aridcal print {what} {option_text(options)}".strip())
     content = svg(sheet).encode() if out.suffix.lower() == ".svg" else pdf(sheet)
     width, height = sheet.size
     remarks = [f"{out}: {width:g} x {height:g} mm; print it at 100 %, then measure both rulers"]

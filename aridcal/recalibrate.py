@@ -20,7 +20,7 @@ import sys
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.runs.repair_folder import recalibrate
-from aridcal.system.progress import told_on
+from aridcal.system.progress import console_progress
 from aridcal.system.reading.user_names import path_argument
 
 
@@ -38,7 +38,7 @@ def parser() -> CommandParser:
 
 def _main(arguments: argparse.Namespace) -> None:
     console, aside = screens(arguments)
-    with told_on(aside) as progress:
+    with console_progress(aside) as progress:
         sentences = recalibrate(arguments.results, arguments.rows, arguments.out, progress)
     console.say(*sentences)
     console.say(f"repaired: {arguments.out / 'report.html'}")

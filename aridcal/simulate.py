@@ -15,9 +15,9 @@ from aridcal.command_line import CommandParser, command, command_parser, for_scr
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
-from aridcal.system.progress import told_on
+from aridcal.system.progress import console_progress
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import atomic_folder, claimed
 
 
@@ -37,7 +37,7 @@ def _main(arguments: argparse.Namespace) -> None:
     console, aside = screens(arguments)
     check_apart([out / "campaign.yaml"], [path])
     scenario = load_settings(path, Scenario)
-    with claimed(out, "folder"), told_on(aside) as progress:
+    with claimed(out, "folder"), console_progress(aside) as progress:
         simulation = simulate(scenario, progress)
         with atomic_folder(out) as folder:
             write_campaign(simulation, folder, out, progress)

@@ -32,12 +32,12 @@ from aridcal.command_line import (
     screens,
 )
 from aridcal.jobs.fleet.run_record import FAILED
-from aridcal.jobs.fleet.study_runs import NAME
+from aridcal.jobs.fleet.study_records import STUDY_TABLE
 from aridcal.jobs.fleet.trials import load_study
-from aridcal.runs.study_run import PAGE, repeated, summary
-from aridcal.system.progress import told_on
+from aridcal.runs.study_run import STUDY_PAGE, repeated, summary
+from aridcal.system.progress import console_progress
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 
 if TYPE_CHECKING:
     pass
@@ -57,12 +57,12 @@ def parser() -> CommandParser:
 
 def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
-    check_apart([out / NAME, out / PAGE], [arguments.study])
+    check_apart([out / STUDY_TABLE, out / STUDY_PAGE], [arguments.study])
     job = load_study(arguments.study)
     console, aside = screens(arguments)
-    with told_on(aside) as progress:
+    with console_progress(aside) as progress:
         results = repeated(job, out, arguments.scheduler, progress)
-    console.say(*summary(results), f"table: {out / NAME}", f"page: {out / PAGE}")
+    console.say(*summary(results), f"table: {out / STUDY_TABLE}", f"page: {out / STUDY_PAGE}")
     return NOT_GOOD if results.remaining or any(row["status"] == FAILED for row in results.rows) else DONE
 
 

@@ -46,7 +46,7 @@ address that was pointed at this computer (DNS rebinding)."""
 
 ADDRESS = "127.0.0.1"
 
-PATH = "calibration"
+SCENE_PATH = "calibration"
 """Of the scene in meshcat's tree."""
 
 LOOK_EVERY = 0.5
@@ -105,10 +105,10 @@ class Viewer(ZMQWebSocketBridge):
         if stamp != self._stamp:
             self._stamp = stamp
             found = SCENE.search(self._page)
-            command = {"type": "set_object", "path": f"/{PATH}", "object": found[1] if found else "null"}
-            node = find_node(self.tree, [PATH])
+            command = {"type": "set_object", "path": f"/{SCENE_PATH}", "object": found[1] if found else "null"}
+            node = find_node(self.tree, [SCENE_PATH])
             node.object = umsgpack.packb(command)
-            self.forward_to_websockets([b"set_object", PATH.encode(), node.object])
+            self.forward_to_websockets([b"set_object", SCENE_PATH.encode(), node.object])
 
     def page(self) -> str:
         """The file's page, with the script that keeps it up to date."""

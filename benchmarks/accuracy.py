@@ -45,7 +45,7 @@ from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, load_robot
 from aridcal.engine.rows.dataset import Dataset, dataset
 from aridcal.engine.search.loop import calibrated_arm, fit_constants
-from aridcal.engine.trust.uncertainty import with_noise_seen
+from aridcal.engine.trust.uncertainty import with_contradicted_noise
 from aridcal.files.campaign import Campaign
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.calibrate.pipeline import identify
@@ -210,7 +210,7 @@ def predictions(console: Console, count: int = 150) -> None:
         seen = case.train.readings
         unseen = case.query.select(((q >= seen.min(axis=0)) & (q <= seen.max(axis=0))).all(axis=1))
         off = problem(final.model, unseen).residual(final.theta)
-        covariance = with_noise_seen(final, arm.rows.select(arm.rows.train)).covariance
+        covariance = with_contradicted_noise(final, arm.rows.select(arm.rows.train)).covariance
         solved = SolvedModel(final.model, final.theta, covariance)
         std = solved.std(unseen.readings, unseen.covariates)[:, : off.shape[1]]
         ratio = np.full((len(off), 6), np.nan)
@@ -311,7 +311,7 @@ def ranks(console: Console) -> None:
         for kind in ("pose", "position"):
             asked = problem(model, measure(model, zero, readings, kind=kind))
             whole = triangle(asked, zero, np.ones(300), np.full(len(asked.channels), NOISE))
-            told.append(len(identifiable(whole, range(len(candidates))).kept))
+            told.append(len(identifiable(whole, range(len(candidates))).independent))
         turning = sum(joint.kind == "revolute" for joint in robot.joints)
         sliding = len(robot.joints) - turning
         most = 4 * turning + 2 * sliding

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.files.campaign import load_campaign
 from aridcal.files.read import load_measurements
 from aridcal.jobs.prepare.campaign_text import draft
-from aridcal.jobs.prepare.guesses import nobody
+from aridcal.jobs.prepare.guesses import leave_open
 from aridcal.system.errors import AridcalError
 
 WRONG = "wrong"
@@ -42,7 +42,7 @@ def judged(case: Case, folder: Path) -> tuple[str, str]:
     path.write_bytes(case.write(t))
     out = folder / f"{case.name}.campaign.yaml"
     try:
-        made = draft(t.urdf, [path], out, nobody)
+        made = draft(t.urdf, [path], out, leave_open)
         out.write_text(made.campaign.text, encoding="utf-8")
         robot = made.proposal.robot
         rows = load_measurements(load_campaign(out), robot.readings, robot.limits, robot.kinds)

@@ -38,7 +38,7 @@ from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.residual import triangle
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_constants
-from aridcal.jobs.calibrate.pipeline import judged
+from aridcal.jobs.calibrate.pipeline import judge_arm
 from aridcal.system.progress import SILENT
 
 TELLABLE = 12.0
@@ -117,7 +117,7 @@ def analyse(case: Case) -> tuple[CalibratedArm, str]:
     rows = case.rows
     robot, geometry = case.truth.robot, fit_constants(case.campaign.question, case.truth.robot, rows, ())
     arm = calibrated_arm(case.campaign.question, robot, rows, (), geometry, SILENT)
-    return arm, judged(arm).verdict.word
+    return arm, judge_arm(arm).verdict.word
 
 
 def judge(case: Case) -> Score:
@@ -128,7 +128,7 @@ def judge(case: Case) -> Score:
     geometric, found = arm.geometry.geometric, arm.diagnosed
     named: dict[tuple[object, ...], list[Effect]] = defaultdict(list)
     twins: dict[tuple[object, ...], set[tuple[str, str]]] = defaultdict(set)
-    for active, others in zip(found.found.state.active, found.confounded, strict=True):
+    for active, others in zip(found.stepwise.state.active, found.confounded, strict=True):
         e = active.effect
         key = (e.kind, e.where, e.with_, e.by)
         named[key].append(e)
@@ -155,7 +155,9 @@ def oracle(case: Case, geometric: Fit) -> Fit:
     if shifts or all(shape is None for shape in case.shapes):
         # What an effect and the constants do alike is no direction of its own: the constants leave it to the effect.
         columns, order = len(case.theta), [*range(first, len(case.theta)), *order]
-    kept = [k for k in sorted(identifiable(R[:, :columns], order).kept) if k < first] + [*range(first, len(case.theta))]
+    kept = [k for k in sorted(identifiable(R[:, :columns], order).independent) if k < first] + [
+        *range(first, len(case.theta))
+    ]
     model, theta = truth.with_coefficients([truth.coefficients[k] for k in kept]), case.theta[kept]
     precision = np.zeros((len(kept), len(kept)))
     at = len(kept) - (len(case.theta) - first)

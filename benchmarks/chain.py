@@ -27,12 +27,12 @@ import pinocchio as pin
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.catalogue import declared
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import Surroundings
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.identifiable import identifiable
 from aridcal.engine.instruments.camera import predict_pixels
-from aridcal.engine.instruments.camera_sonar import Head, HeadShot, carried, predict_ranges
+from aridcal.engine.instruments.camera_sonar import Head, HeadShot, predict_ranges, square_motion
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.rows.dataset import dataset
@@ -102,7 +102,7 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     robot = load_robot(STRIP.parents[1] / "urdf" / "arid.urdf", "flange")
     optics = Optics(settings.camera.width, settings.camera.height, load_squares(settings.squares))
     start = head_of(settings)
-    seen_by = Observed(robot, {}, (), held=head_things(start).held)
+    seen_by = ObservedRows(robot, {}, (), stated_components=head_things(start).held)
     wrong = [declared(seen_by, e, case) for e in campaign(CASES[case]).effects]
     phi = start.phi
     for e in wrong:
@@ -150,7 +150,7 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     final, plain = arm.diagnosed.fit, geometry.geometric
     oracle = _oracle(model, found, q[kept], start, directions(start, [c for e in wrong for c in e.coefficients]))
     truth = {(e.kind, e.where) for e in wrong} | ({("joint_compliance", "joint_3")} if "elbow" in case else set())
-    said = [a.effect for a in arm.diagnosed.found.state.active]
+    said = [a.effect for a in arm.diagnosed.stepwise.state.active]
     return Trial(
         tuple(e.label for e in said),
         {(e.kind, e.where) for e in said} == truth,
@@ -232,7 +232,7 @@ def _oracle(
         A, b = _whitened(moving, theta, seen, q, replace(start, phi=start.phi + H @ phi), H)
         if len(kept) == 0:
             R = np.asarray(np.linalg.qr(A[:, : len(theta)], mode="r"))
-            kept = np.array([*sorted(identifiable(R, range(len(theta))).kept), *range(len(theta), A.shape[1])])
+            kept = np.array([*sorted(identifiable(R, range(len(theta))).independent), *range(len(theta), A.shape[1])])
         scale = 1.0 / np.linalg.norm(A[:, kept], axis=0)
         step = np.zeros(A.shape[1])
         step[kept] = scale * np.linalg.lstsq(A[:, kept] * scale, b, rcond=None)[0]
@@ -251,7 +251,7 @@ def _whitened(
         T_world_camera[:3, :3], T_world_camera[:3, 3] = R[k], p[k]
         T = np.linalg.inv(T_world_camera) @ s.T_world_square
         T_square_camera = np.linalg.inv(T)
-        by_theta = np.linalg.solve(carried(s.T_world_square[None, :3, :3], T_square_camera[None, :3, 3])[0], J[k])
+        by_theta = np.linalg.solve(square_motion(s.T_world_square[None, :3, :3], T_square_camera[None, :3, 3])[0], J[k])
         pixels, by_twist, by_phi = predict_pixels(T, s.points, head.intrinsics)
         h, h_by_twist = predict_ranges(T, head.positions, head.measures)
         stretch = 1.0 + head.scale

@@ -25,11 +25,11 @@ from calibrated import NOISE, Machine, jump, machine
 
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
-from aridcal.jobs.maintain.checking import asked, check
+from aridcal.jobs.maintain.checking import check, new_rows_question
 from aridcal.jobs.maintain.hypotheses import suspects, widened
 from aridcal.jobs.maintain.likelihoods import alarm, covariance_of, likely
-from aridcal.jobs.maintain.new_rows import known_noise, read_new_rows
-from aridcal.jobs.maintain.repair import changes, repaired
+from aridcal.jobs.maintain.new_rows import new_row_noise, read_new_rows
+from aridcal.jobs.maintain.repair import changes, repair_calibration
 from aridcal.system.errors import MeasurementError
 
 OFF = 2e-3
@@ -48,7 +48,7 @@ def alarms() -> None:
             q, wide = m.configurations(8), widened(m.saved.final)
             for _ in range(50):
                 rows = m.measured(q)
-                found = alarm(asked(wide, rows, known_noise(m.saved, rows)), suspects(wide, rows))
+                found = alarm(new_rows_question(wide, rows, new_row_noise(m.saved, rows)), suspects(wide, rows))
                 count += found.p_value < FALSE_ALARMS
         print(f"{kind}: {count} false alarms in 1000 clean checks")
 
@@ -56,7 +56,7 @@ def alarms() -> None:
 def four_sigma(m: Machine, q: np.ndarray, joint: int, together: bool) -> float:
     """A jump of four sigma, [rad]: of what all rows tell of it together, or of the single number that shows it best."""
     wide, rows = widened(m.saved.final), m.measured(q)
-    question = asked(wide, rows, known_noise(m.saved, rows))
+    question = new_rows_question(wide, rows, new_row_noise(m.saved, rows))
     name = m.model.robot.readings[joint]
     zero = next(s for s in suspects(wide, rows) if s.where == name)
     if not together:
@@ -96,7 +96,7 @@ def repairs() -> None:
             for joint in range(1, 5):
                 offset = jump(joint, 5e-4)
                 try:
-                    mended = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), offset))).saved
+                    mended = repair_calibration(m.saved, check(m.saved, m.measured(m.configurations(10), offset))).saved
                 except MeasurementError:
                     refused += 1
                     continue
@@ -141,7 +141,7 @@ def zero(saved: SavedModel, table: pd.DataFrame, joint: str) -> float:
     """A joint's zero from rows of which base and tool are elsewhere, [rad], with the noise that these rows show."""
     rows = read_new_rows(saved, table).rows
     wide = widened(saved.final)
-    question = asked(wide, rows, known_noise(saved, rows))
+    question = new_rows_question(wide, rows, new_row_noise(saved, rows))
     every = suspects(wide, rows)
     own = next(s for s in every if (s.kind, s.where) == ("zero", joint))
     for suspect in (*(s for s in every if s.kind == "frame"), own):

@@ -22,18 +22,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.robot.chain import load_robot
 from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.files.read import load_measurements
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates
 from aridcal.jobs.plan.information import rows_of
-from aridcal.jobs.plan.pose_design import POOL, RANDOM_CHOICES, SMALL_POOL, Asked, question
-from aridcal.jobs.plan.refine import Refined, refined
-from aridcal.jobs.plan.row_exchange import best_choice, exchanged, rms_sigma, worst_sigma
+from aridcal.jobs.plan.pose_design import POOL, RANDOM_CHOICES, SMALL_POOL, PlanRequest, question
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
+from aridcal.jobs.plan.refinement import RefinedCandidates, refined
+from aridcal.jobs.plan.row_exchange import best_choice, exchange_members, rms_sigma, worst_sigma
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.usual_effects import with_usual_effects
 
@@ -83,13 +83,13 @@ def planned() -> None:
                 robot = load_robot(made.robot.urdf, made.robot.tip)
                 started = time.process_time()
                 known, rng = beforehand(made, robot), np.random.default_rng(0)
-                candidates = draw_candidates(known, POOL if KINDS[kind].anywhere else SMALL_POOL, n, rng)
+                candidates = draw_candidates(known, POOL if MEASUREMENT_KINDS[kind].anywhere else SMALL_POOL, n, rng)
                 known = with_usual_effects(known, candidates) if suspects else known
                 region = region_readings(known, None, rng)
-                choice, of = question(known, Asked(n), candidates, region)
+                choice, of = question(known, PlanRequest(n), candidates, region)
                 chosen = best_choice(choice, n, rng)
-                best = Refined(candidates.some(chosen), choice.rows[chosen])
-                if KINDS[kind].anywhere:
+                best = RefinedCandidates(candidates.some(chosen), choice.rows[chosen])
+                if MEASUREMENT_KINDS[kind].anywhere:
                     best = refined(known, of, choice, best, rng)
                 seconds = time.process_time() - started
                 M = replace(choice, rows=best.rows).information(range(n))
@@ -106,9 +106,9 @@ def planned() -> None:
 
 def _near(known: PlanSetup, n: int, region: np.ndarray, rng: np.random.Generator) -> float:
     """RMS sigma of a choice among some candidates, as a share of that of the best of many exchanges."""
-    few, _ = question(known, Asked(n), draw_candidates(known, SMALL_POOL, n, rng), region)
+    few, _ = question(known, PlanRequest(n), draw_candidates(known, SMALL_POOL, n, rng), region)
     begun = [rng.permutation(len(few.rows))[:n].tolist() for _ in range(EXCHANGES)]
-    least = min(few.cost(exchanged(few, some)) for some in begun)
+    least = min(few.cost(exchange_members(few, some)) for some in begun)
     return float(np.sqrt(few.cost(best_choice(few, n, rng)) / least))
 
 
@@ -121,11 +121,12 @@ def suspects() -> None:
             candidates = draw_candidates(bare, POOL, n, rng)
             region = region_readings(bare, None, rng)
             asked = [
-                (k, *question(k, Asked(n), candidates, region)) for k in (bare, with_usual_effects(bare, candidates))
+                (k, *question(k, PlanRequest(n), candidates, region))
+                for k in (bare, with_usual_effects(bare, candidates))
             ]
         for title, (known, choice, of) in zip(("constants alone", "usual suspects"), asked, strict=True):
             chosen = best_choice(choice, n, rng)
-            best = refined(known, of, choice, Refined(candidates.some(chosen), choice.rows[chosen]), rng)
+            best = refined(known, of, choice, RefinedCandidates(candidates.some(chosen), choice.rows[chosen]), rng)
             shares = []
             for other, judged, unknowns in asked:
                 random = [
@@ -149,20 +150,20 @@ def bound() -> None:
         made = campaign(Path(folder), arm, kind, noise, more)
         known, rng = beforehand(made, load_robot(made.robot.urdf, made.robot.tip)), np.random.default_rng(0)
         candidates = draw_candidates(known, POOL, n, rng)
-        choice, of = question(known, Asked(n), candidates, region_readings(known, None, rng))
+        choice, of = question(known, PlanRequest(n), candidates, region_readings(known, None, rng))
         chosen = best_choice(choice, n, rng)
-        best = refined(known, of, choice, Refined(candidates.some(chosen), choice.rows[chosen]), rng)
+        best = refined(known, of, choice, RefinedCandidates(candidates.some(chosen), choice.rows[chosen]), rng)
     random = np.median(
         [rms_sigma(choice, choice.information(rng.permutation(POOL)[:n])) for _ in range(RANDOM_CHOICES)]
     )
     rows = np.concatenate([choice.rows, best.rows])
     w = np.full(len(rows), 1.0 / len(rows))
     for _ in range(ROUNDS):
-        S = np.linalg.inv(choice.known / n + np.einsum("c,cpi,cpj->ij", w, rows, rows, optimize=True))
+        S = np.linalg.inv(choice.prior_information / n + np.einsum("c,cpi,cpj->ij", w, rows, rows, optimize=True))
         gradient = np.einsum("cpi,ij,cpj->c", rows, S @ choice.averaged @ S, rows, optimize=True)
         w = w * np.sqrt(gradient) / np.sum(w * np.sqrt(gradient))
     trace = float(np.trace(choice.averaged @ S))
-    assumed = float(np.trace(S @ choice.averaged @ S @ choice.known)) / n
+    assumed = float(np.trace(S @ choice.averaged @ S @ choice.prior_information)) / n
     lowest = np.sqrt(trace**2 / (gradient.max() + assumed) / n) / random
     print(f"{arm}, {n} of {kind}: no choice among {len(rows)} places is below {lowest:.3f} of random ones")
 
@@ -183,7 +184,7 @@ def series_b() -> None:
             bare = campaign(Path(folder), "UR10", "pose", "{position: 1.0e-4, rotation: 1.0e-4}", tool)
             known = beforehand(bare, robot)
             known = with_usual_effects(known, own) if suspects else known
-            choice, _ = question(known, Asked(100), own, rows.readings[rng.permutation(every)[:REGION]])
+            choice, _ = question(known, PlanRequest(100), own, rows.readings[rng.permutation(every)[:REGION]])
             chosen = best_choice(choice, 100, rng)
         what = "constants and usual suspects" if suspects else "constants"
         print(f"chosen for {what}: {final_rms(real, table, chosen)} mm", flush=True)

@@ -23,9 +23,9 @@ from aridcal.engine.inverse.reachable import limits_of
 from aridcal.engine.robot.chain import Robot, load_robot
 from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import Candidates, rows_like, targets_of
-from aridcal.jobs.plan.pose_design import Asked, design
+from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
 from aridcal.jobs.plan.usual_effects import with_pair
 
 TOP = Path(__file__).resolve().parents[1]
@@ -110,7 +110,7 @@ def main(seeds: int) -> None:
                     first, words = named(made, old, true, other)
                     old.to_csv(folder / "rows.csv", index=False)
                     started = time.process_time()
-                    plan = design(beforehand(made, robot), Asked(NEW, apart=pair, seed=seed))
+                    plan = design(beforehand(made, robot), PlanRequest(NEW, apart=pair, seed=seed))
                     seconds = time.process_time() - started
                     new = measured(known, theta, robot, plan.readings, rng)
                     second, more = named(made, pd.concat([old, new], ignore_index=True), true, other)

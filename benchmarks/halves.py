@@ -39,7 +39,7 @@ from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset, with_places
-from aridcal.engine.search.diagnose import look
+from aridcal.engine.search.diagnose import covariates_and_exclusions
 from aridcal.engine.trust.halves import halves
 
 TOP = Path(__file__).resolve().parents[1]
@@ -141,7 +141,7 @@ def spoilt(kind: str, effect_kind: str, seed: int) -> tuple[float, float]:
     }
     rows = with_directions(replace(truth.measured, covariates=columns))
     around = Surroundings(loaded=True)
-    seen, _ = look(Model(robot, (), around=around), rows)
+    seen, _ = covariates_and_exclusions(Model(robot, (), around=around), rows)
     size, moved = 6 if kind == "pose" else 3, np.zeros(0)
     choice = candidates(seen, (effect_kind,))
     while not moved.any():  # a turn of the target itself moves no position

@@ -29,9 +29,9 @@ from aridcal.engine.instruments.camera import DOTY_OPENCV, predict_pixels
 from aridcal.engine.instruments.camera_sonar import predict_ranges
 from aridcal.jobs.head1992.fiducials import Fiducials, find_fiducials
 from aridcal.jobs.head1992.matching import NotMeasured, spans_plane
-from aridcal.jobs.head1992.render import Glare, Patch, Scene, coverage, light_map, render
+from aridcal.jobs.head1992.render import Glare, ImageAppearance, Patch, coverage, light_map, render
 from aridcal.jobs.head1992.sonar import doty_plane, fit_plane, ranges
-from aridcal.jobs.head1992.square import INCH, Layout, layout, strip_placements
+from aridcal.jobs.head1992.square import INCH, FiducialLayout, layout, strip_placements
 from aridcal.jobs.head1992.square_pose import Pose, Sonars, measure_pose
 
 WIDTH = HEIGHT = 512
@@ -75,7 +75,7 @@ def strip_seen(T: np.ndarray) -> dict[int, np.ndarray]:
     return {k: T @ np.linalg.inv(STRIP[OWN]) @ S for k, S in SQUARES.items()}
 
 
-def in_view(T: np.ndarray, marks: Layout, margin: float = 2.0) -> np.ndarray:
+def in_view(T: np.ndarray, marks: FiducialLayout, margin: float = 2.0) -> np.ndarray:
     corners, _, _ = predict_pixels(T, marks.corners, INTRINSICS)
     return np.all((corners > margin) & (corners < WIDTH - 1 - margin), axis=(1, 2))
 
@@ -91,7 +91,7 @@ def clean_view(seed: int) -> View:
         T = random_pose(rng)
         clean = in_view(T, AROUND)
         if clean[:6].sum() >= 4:
-            image = render(strip_seen(T), INTRINSICS, WIDTH, HEIGHT, Scene(), rng)
+            image = render(strip_seen(T), INTRINSICS, WIDTH, HEIGHT, ImageAppearance(), rng)
             return View(T, image, sonars(T, rng), clean, True)
 
 
@@ -125,7 +125,7 @@ def hard_view(seed: int) -> View:
         Glare(rng.uniform(0, 511), rng.uniform(0, 511), rng.uniform(20, 120), rng.uniform(0.1, 0.6))
         for _ in range(rng.integers(0, 3) if rng.random() < 0.4 else 0)
     ]
-    scene = Scene(
+    scene = ImageAppearance(
         paper=paper,
         ink=ink,
         surroundings=rng.uniform(0.05, 0.95),
@@ -144,7 +144,7 @@ def hard_view(seed: int) -> View:
     return View(T, image, sonars(T, rng), clean, bool(usable))
 
 
-def clean_fiducials(T: np.ndarray, scene: Scene) -> np.ndarray:
+def clean_fiducials(T: np.ndarray, scene: ImageAppearance) -> np.ndarray:
     """Tell which fiducials are wholly in view and neither covered nor washed out, shape (M,)."""
     outlines, _, _ = predict_pixels(T, AROUND.corners, INTRINSICS)
     hidden = np.zeros((HEIGHT, WIDTH))
@@ -167,7 +167,7 @@ def empty_view(seed: int) -> View:
     """An image without a usable square: bare, clutter of the right sizes, boards, textures, a square all but hidden."""
     rng = np.random.default_rng(50_000 + seed)
     T = random_pose(rng)
-    scene = Scene(blur=rng.uniform(0.3, 1.5), noise=rng.uniform(1, 6), surroundings=rng.uniform(0.1, 0.9))
+    scene = ImageAppearance(blur=rng.uniform(0.3, 1.5), noise=rng.uniform(1, 6), surroundings=rng.uniform(0.1, 0.9))
     kind, seen = seed % KINDS, strip_seen(T)
     scale = INTRINSICS[0] / T[2, 3]
     if kind in (0, 5):
@@ -212,7 +212,7 @@ def empty_view(seed: int) -> View:
     return View(T, image, sonars(T, rng), np.zeros(len(AROUND), dtype=bool), False)
 
 
-def measure(view: View, marks: Layout) -> tuple[Fiducials, Pose]:
+def measure(view: View, marks: FiducialLayout) -> tuple[Fiducials, Pose]:
     found = find_fiducials(view.image, marks, INTRINSICS, view.sonars)
     return found, measure_pose(
         found.layout.centres, found.pixels, found.covariances, view.sonars, INTRINSICS, found.T_camera_square
@@ -223,12 +223,12 @@ def twist_error(T_found: np.ndarray, T: np.ndarray) -> np.ndarray:
     return np.asarray(pin.log6(pin.SE3(np.linalg.inv(T_found) @ T)).vector)
 
 
-def information(T: np.ndarray, used: Layout, noise: float = 2.0) -> np.ndarray:
+def information(T: np.ndarray, used: FiducialLayout, noise: float = 2.0) -> np.ndarray:
     """Fisher information of the pose in the pixels around the fiducials used and in the ranges, from the renderer."""
     steps = np.array([2e-5] * 3 + [2e-4] * 3)
 
     def seen(twist: np.ndarray) -> np.ndarray:
-        return light_map(strip_seen(T @ pin.exp6(twist).homogeneous), INTRINSICS, WIDTH, HEIGHT, Scene())
+        return light_map(strip_seen(T @ pin.exp6(twist).homogeneous), INTRINSICS, WIDTH, HEIGHT, ImageAppearance())
 
     D = np.array([(seen(s * e) - seen(-s * e)) / (2 * s) for s, e in zip(steps, np.eye(6), strict=True)])
     wide = replace(used, sizes=used.sizes + 2 * 0.0028)

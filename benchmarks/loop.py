@@ -110,7 +110,7 @@ def column(console: Console) -> None:
         test = rows.select(rows.test)
         target = truth.poses(theta, truth.rows(test.readings))[1]
         e = [_off(f, test, target) for f in (found, diagnosed.fit, oracle)]
-        names = "; ".join(dict.fromkeys(a.effect.label for a in diagnosed.found.state.active))
+        names = "; ".join(dict.fromkeys(a.effect.label for a in diagnosed.stepwise.state.active))
         table.add_row(str(seed), *(f"{v:.3f}" for v in e), f"{e[1] / e[2]:.2f}", names)
     console.print(table)
 

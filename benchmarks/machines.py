@@ -22,7 +22,7 @@ from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset, dataset, with_places, with_sigma
 from aridcal.files.campaign import Campaign
-from aridcal.jobs.simulate.true_effects import Cause, TrueEffect, draw_columns, make_causes
+from aridcal.jobs.simulate.true_effects import PreparedEffect, TrueEffect, draw_columns, make_causes
 from aridcal.system.errors import CampaignError
 
 NAMED = (
@@ -81,7 +81,7 @@ class Case:
     train: Dataset
     truth: Model
     theta: np.ndarray
-    causes: tuple[Cause, ...]
+    causes: tuple[PreparedEffect, ...]
     shapes: tuple[np.ndarray | None, ...]
     sizes: tuple[float, ...]
     sigma: np.ndarray
@@ -140,7 +140,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     around = Surroundings(gravity, (Payload(frames[1].translation),), "payload" in columns)
 
     count = {"clean": 0, "single": 1, "off": 1, "combination": int(rng.integers(2, 4))}[what]
-    causes: list[Cause] = []
+    causes: list[PreparedEffect] = []
     drawn: list[np.ndarray | None] = []
     known = dict(columns)
     for k in range(count):
@@ -148,7 +148,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
         shape = None
         if what == "off":
             made, known = make_causes([_off(robot, columns, rng)], robot, readings, columns, around, rng, "case")
-            cause: Cause | None = made[0]
+            cause: PreparedEffect | None = made[0]
         elif one in CURVES:
             cause, shape = _curve(one, robot, readings, rng)
         elif one == "bump":
@@ -200,7 +200,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
         factor = size / seen
         if factor * np.abs(moved.reshape(-1, len(per_number)) * per_number).max() > TOO_MUCH:
             return None
-        scaled.append(Cause(cause.effect, factor * cause.values, cause.ranges))
+        scaled.append(PreparedEffect(cause.effect, factor * cause.values, cause.ranges))
         shapes.append(None if shape is None else factor**2 * shape)
         sizes.append(size)
     theta = np.concatenate([values, *(c.values for c in scaled)])
@@ -235,7 +235,7 @@ def _covariates(robot: Robot, readings: np.ndarray, rng: np.random.Generator) ->
 def _named(
     kind: str, robot: Robot, readings: np.ndarray, columns: dict[str, np.ndarray], around: Surroundings,
     rng: np.random.Generator,
-) -> Cause | None:  # fmt: skip
+) -> PreparedEffect | None:  # fmt: skip
     """An effect of the catalogue with coefficients of natural proportions; None if this robot cannot have it."""
     joints = {k: [j.name for j in robot.joints if k in ("", j.kind)] for k in ("", "revolute", "prismatic")}
     wanted = "revolute" if kind in ("joint_harmonic", "axis_wobble") else ""
@@ -285,12 +285,12 @@ def _named(
     values = rng.standard_normal(len(cause.values))
     if kind == "bearing_compliance":  # a compliance is positive, and grows with travel
         values = np.abs(values)
-    return Cause(cause.effect, values if len(values) > 1 else np.ones(1), {})
+    return PreparedEffect(cause.effect, values if len(values) > 1 else np.ones(1), {})
 
 
 def _curve(
     kind: str, robot: Robot, readings: np.ndarray, rng: np.random.Generator
-) -> tuple[Cause | None, np.ndarray | None]:
+) -> tuple[PreparedEffect | None, np.ndarray | None]:
     """A smooth curve over a joint's travel, and the covariance of its knots."""
     components, count, lengths = CURVES[kind]
     joints = [k for k, j in enumerate(robot.joints) if kind == "joint_map" or j.kind == "prismatic"]
@@ -305,10 +305,12 @@ def _curve(
     knots = tuple(Coefficient(name, motion, Basis("bump", (name,), (low + (i - 1) * step, step))) for i in range(count))
     shape = stiffness(count, length)
     values = np.linalg.cholesky(shape) @ rng.standard_normal(count)
-    return Cause(Effect(kind, name, knots, smooth=True), values, {}), shape
+    return PreparedEffect(Effect(kind, name, knots, smooth=True), values, {}), shape
 
 
-def _bump(robot: Robot, readings: np.ndarray, rng: np.random.Generator) -> tuple[Cause | None, np.ndarray | None]:
+def _bump(
+    robot: Robot, readings: np.ndarray, rng: np.random.Generator
+) -> tuple[PreparedEffect | None, np.ndarray | None]:
     """An error curve that is nil but for one knot, and the covariance of its knots to one who knows not which."""
     turning = [k for k, j in enumerate(robot.joints) if j.kind == "revolute"]
     if not turning:
@@ -321,10 +323,10 @@ def _bump(robot: Robot, readings: np.ndarray, rng: np.random.Generator) -> tuple
     knots = tuple(Coefficient(name, "axis", Basis("bump", (name,), (low + i * step, step))) for i in range(count))
     values = np.zeros(count)
     values[int(rng.integers(1, count - 1))] = float(rng.choice((-1.0, 1.0)))
-    return Cause(Effect("joint_map", name, knots, smooth=True), values, {}), np.eye(count) / count
+    return PreparedEffect(Effect("joint_map", name, knots, smooth=True), values, {}), np.eye(count) / count
 
 
-def _shift(robot: Robot, total: int, pose: bool, rng: np.random.Generator) -> tuple[Cause, np.ndarray]:
+def _shift(robot: Robot, total: int, pose: bool, rng: np.random.Generator) -> tuple[PreparedEffect, np.ndarray]:
     """A base, a target or a joint's zero that moved between two rows, and the column that says when."""
     where = str(rng.choice([*robot.names, "world_base", "world_base", "tip_target", "tip_target"]))
     motion = {"world_base": FRAME_COMPONENTS, "tip_target": FRAME_COMPONENTS[: 6 if pose else 3]}.get(where, ("axis",))
@@ -332,7 +334,7 @@ def _shift(robot: Robot, total: int, pose: bool, rng: np.random.Generator) -> tu
     values = rng.standard_normal(len(motion))
     after = np.arange(total) >= int(rng.uniform(*STEPS) * total)
     effect = Effect("shift", where, tuple(Coefficient(where, component, once) for component in motion))
-    return Cause(effect, values, {}), np.where(after, 0.0, -1.0)
+    return PreparedEffect(effect, values, {}), np.where(after, 0.0, -1.0)
 
 
 def _last(time: np.ndarray, query: np.ndarray) -> np.ndarray:

@@ -23,8 +23,8 @@ sys.path.insert(0, str(HERE / "tests" / "support"))
 import made_logs  # noqa: E402
 import robots  # noqa: E402
 
-from aridcal.jobs.prepare.guesses import nobody  # noqa: E402
-from aridcal.runs.log_merge import joined  # noqa: E402
+from aridcal.jobs.prepare.guesses import leave_open  # noqa: E402
+from aridcal.runs.log_merge import join_logs  # noqa: E402
 from aridcal.system.errors import AridcalError  # noqa: E402
 
 CASES: dict[str, dict[str, float]] = {
@@ -55,7 +55,7 @@ def one(case: dict[str, float], seed: int) -> tuple[float, float, int, float, fl
         gone = np.any((t[:, None] > begins) & (t[:, None] < begins + rng.uniform(0.5, 5.0, len(begins))), axis=1)
         tracker = tracker[~gone]
     began = time.process_time()
-    found = joined(made.joints, tracker, robots.URDF / "ur10.urdf", "tool0", nobody, {})
+    found = join_logs(made.joints, tracker, robots.URDF / "ur10.urdf", "tool0", leave_open, {})
     seconds = time.process_time() - began
     at = made.tracker["time"].to_numpy()
     late = np.abs(found.clocks.joints(at) - made.joints_clock(at)).max()

@@ -23,9 +23,9 @@ from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import LANGUAGES
 from aridcal.jobs.apply.programs.project import Project
-from aridcal.jobs.apply.programs.proof import Change, corrected, edited, meant
+from aridcal.jobs.apply.programs.proof import TextChange, corrected, edit_texts, expected_targets
 from aridcal.jobs.apply.programs.targets import Target
-from aridcal.jobs.apply.programs.text import LARGEST, NUL, written
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NUL, written
 from aridcal.system.errors import AridcalError
 from fuzz.mutate import mutate
 
@@ -43,7 +43,7 @@ FRAMES = (
 )
 
 
-def changed_outside(before: str, after: str, changes: Sequence[Change]) -> bool:
+def changed_outside(before: str, after: str, changes: Sequence[TextChange]) -> bool:
     """Whether anything but the given numbers differs: the old numbers are put back, from the end to the beginning."""
     own = [pair for c in changes for pair in zip(c.numbers, c.texts.split(NUL), strict=True)]
     text, ordered = after, sorted(own, key=lambda pair: pair[0].start)
@@ -76,9 +76,9 @@ def attempt(language: Language, cell: Cell, project: Project, rng: Random) -> tu
     plain = [target for target in targets if not target.why]
     for target in plain:
         new = list(map(written, nearby(target, rng), target.numbers.texts, target.places))
-        if max(map(abs, map(float, new))) <= LARGEST:  # larger ones are left by the correction, too
-            changes.append(Change(target.file, target.numbers, NUL.join(new)))
-    texts = corrected(language, project, cell, meant(targets), edited(project, changes))
+        if max(map(abs, map(float, new))) <= LARGEST_IN_PROGRAM:  # larger ones are left by the correction, too
+            changes.append(TextChange(target.file, target.numbers, NUL.join(new)))
+    texts = corrected(language, project, cell, expected_targets(targets), edit_texts(project, changes))
     for file, (source, text) in enumerate(zip(project.sources, texts, strict=True)):
         if changed_outside(source.text, text, [c for c in changes if c.file == file]):
             return len(plain), "a byte outside of targets has changed"

@@ -35,7 +35,7 @@ from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.frames import read_frames
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import LANGUAGES, language_of
-from aridcal.jobs.apply.programs.project import Project, Source, read_text
+from aridcal.jobs.apply.programs.project import Project, SourceFile, read_text
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.system.errors import AridcalError
 
@@ -101,7 +101,7 @@ Corrected = dict[tuple[int, ...], Target]
 
 def read(language: Language, text: str, cell: Cell) -> tuple[list[Target], list[Target]]:
     """Targets that are corrected, and those that are left."""
-    targets = language.read(Project((Source(Path(f"p{language.endings[0]}"), text),)), cell).targets
+    targets = language.read(Project((SourceFile(Path(f"p{language.endings[0]}"), text),)), cell).targets
     return [t for t in targets if not t.why], [t for t in targets if t.why]
 
 

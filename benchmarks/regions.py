@@ -234,7 +234,7 @@ def run(make: Callable[[int, bool], Case], declared: list[dict[str, object]], ca
                 arm = calibrated(case, effects, candidates)
                 seconds[name].append(time.process_time() - started)
                 told[name].append(errors(case, arm.diagnosed.fit))
-                found[name] += bool(arm.diagnosed.found.state.active)
+                found[name] += bool(arm.diagnosed.stepwise.state.active)
                 if name == "one model":
                     told["oracle"].append(errors(case, oracle(case, arm.geometry.geometric)))
         unit = np.array(told["oracle" if varies else "one model"])

@@ -23,7 +23,6 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from aridcal.engine.fit import normal_equations
 from aridcal.engine.search import (
     candidates,
-    confounded,
     diagnose,
     evidence,
     exact,
@@ -31,6 +30,7 @@ from aridcal.engine.search import (
     loop,
     products,
     ranking,
+    rival_models,
     scoring,
     screening,
     state,
@@ -137,7 +137,7 @@ def measure(campaign: Path) -> None:
     ]
     stages = [
         Kernel("score_all", [screening, ranking, scoring], None),
-        Kernel("score_without", [steps, confounded], None),
+        Kernel("score_without", [steps, rival_models], None),
         Kernel("refine", [scoring, ranking, steps], None),
         Kernel("judge", [steps, stepwise], None),
         Kernel("solve_state", [state, steps, diagnose], None),

@@ -21,7 +21,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.jobs.apply.programs.branches import flanges
 from aridcal.jobs.apply.programs.correct import correct
 from aridcal.jobs.apply.programs.notations import UR
-from aridcal.jobs.apply.programs.targets import Branch, Place, Target
+from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target
 from aridcal.jobs.apply.programs.text import Number, Numbers
 
 HOME = np.array([0.3, -1.2, 1.5, -1.5, -1.4, 0.2])
@@ -48,7 +48,7 @@ def targets(robot: Robot, q: np.ndarray, form: str) -> list[Target]:
             Target(1, "", "joints", Numbers(own), readings=np.array([n.value for n in own]), units=units)
             for own in numbers
         ]
-    place = Place(np.eye(4), np.eye(4))
+    place = PoseReference(np.eye(4), np.eye(4))
     return [
         Target(1, "", "pose", Numbers(own), notation=UR, place=place, branch=Branch(nearest=True)) for own in numbers
     ]
@@ -76,7 +76,7 @@ def main() -> None:
         base = np.eye(4)
         base[:3, 3] = [0.05, 0.0, 0.3]  # inside the arm's own column
         here = UR.pose(program[k].values)
-        program[k] = replace(program[k], place=Place(base @ np.linalg.inv(here), np.eye(4)))
+        program[k] = replace(program[k], place=PoseReference(base @ np.linalg.inv(here), np.eye(4)))
     before, began = memory(), time.process_time()
     found = correct(m.saved, program, {}, HOME)
     took = time.process_time() - began

@@ -37,11 +37,11 @@ from aridcal.engine.model.model import Model
 from aridcal.engine.rows.dataset import Dataset, with_sigma
 from aridcal.engine.search.loop import calibrated_arm, fit_constants
 from aridcal.engine.trust.certainty import certainty
-from aridcal.engine.trust.uncertainty import with_noise_seen
+from aridcal.engine.trust.uncertainty import with_contradicted_noise
 from aridcal.engine.trust.workspace import knowledge
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.calibrate.pipeline import identify, score
-from aridcal.jobs.calibrate.region import wanted
+from aridcal.jobs.calibrate.tolerance_region import requirement
 from aridcal.system.errors import AridcalError
 from aridcal.system.progress import SILENT
 
@@ -172,7 +172,7 @@ def sigma(name: str, runs: int, seed: int) -> None:
         labels = station_labels(campaign.question, rows)
         geometry = fit_constants(campaign.question, made.model.robot, rows, labels)
         arm = calibrated_arm(campaign.question, made.model.robot, rows, labels, geometry, SILENT)
-        fit = recentred(with_noise_seen(arm.diagnosed.fit, rows))
+        fit = recentred(with_contradicted_noise(arm.diagnosed.fit, rows))
         like = np.arange(len(q)) % len(rows)
         known = knowledge(fit, rows, arm.geometry.geometric.candidates).over(rows, q, like)
         station = None if rows.labels.station is None else rows.labels.station[like]
@@ -182,11 +182,11 @@ def sigma(name: str, runs: int, seed: int) -> None:
         variance += np.einsum("nii->n", known.covariance)
         z = np.einsum("ni,ni->n", off, np.linalg.solve(known.covariance, off[:, :, None])[:, :, 0])
         beyond += ~known.measured
-        untold += ~known.told
+        untold += ~known.observable
         within = z < WITHIN
         covered += within | ~known.measured
         alone += within
-        count = len(arm.diagnosed.found.state.active)
+        count = len(arm.diagnosed.stepwise.state.active)
         effects[count] = effects.get(count, 0) + 1
     ratio, out = np.sqrt(variance / squares), ~inside
     covered, alone, beyond, untold = (100 * each / runs for each in (covered, alone, beyond, untold))
@@ -231,7 +231,7 @@ def kinds(way: str, runs: int, seed: int) -> None:
         q = np.vstack([one.train.readings[: QUERIES // 2], anywhere])  # as rows of this kind are, and anywhere
         whole = knowledge(found, one.train, found.candidates)
         like = np.zeros(QUERIES, dtype=int)
-        untold += ~whole.over(one.train, q, like).told
+        untold += ~whole.over(one.train, q, like).observable
         known = replace(whole, open=np.zeros_like(whole.open)).over(one.train, q, like)
         off = found.model.poses(found.theta, known.rows)[1] - true.model.poses(true.theta, known.rows)[1]
         squares += np.sum(off**2, axis=1)
@@ -288,12 +288,12 @@ def tolerance(name: str, runs: int, seed: int) -> None:
         rows = replace(rows, test=np.arange(len(rows)) % 5 == 0)
         rows = rows if asked.declared else with_sigma(rows, (None, None))
         geometry = fit_constants(campaign.question, robot, rows, ())
-        fit = recentred(with_noise_seen(geometry.geometric, rows.select(rows.train)))
+        fit = recentred(with_contradicted_noise(geometry.geometric, rows.select(rows.train)))
         residual = problem(fit.model, rows).residual(fit.theta)
         known = certainty(
-            wanted(campaign), fit, rows, fit.candidates, None, np.zeros(len(rows), dtype=bool), residual, None
+            requirement(campaign), fit, rows, fit.candidates, None, np.zeros(len(rows), dtype=bool), residual, None
         )
-        said, q = known.kept[0].bound, known.region.readings
+        said, q = known.tolerances[0].bound, known.region.readings
         own = rng.normal(0.0, asked.jitter, q.shape) if asked.jitter else 0.0
         true = made.model.poses(made.theta, made.model.rows(q + own))[1]
         reached = float(
@@ -322,7 +322,7 @@ def real(name: str, runs: int, seed: int) -> None:
         others = score(outcome, table.iloc[some[250:]])
         off = np.linalg.norm(others.residuals["final"][:, :3], axis=1)
         assert outcome.certainty is not None
-        part = outcome.certainty.kept[0]
+        part = outcome.certainty.tolerances[0]
         within, true = 100 * np.mean(off <= part.bound), 1e3 * np.quantile(off, 0.95)
         print(
             f"{name}: said to be within {1e3 * part.bound:.3f} mm in 95 % of the range; so are {within:.1f} % of {len(off)} "

@@ -16,7 +16,7 @@ import numpy as np
 from aridcal.engine.corrections.loads import covariate_table
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.pages.drawing.figures import AFTER, BEFORE, COLOURS, below
+from aridcal.pages.drawing.figures import AFTER, BEFORE, COLOURS, label_below
 from aridcal.pages.drawing.plot import GREY, INK, Area, Scale, dots, frame, level, path, stairs, text, whole
 
 DOCS = Path(__file__).resolve().parent
@@ -81,7 +81,7 @@ def errors(k: int, lengths: np.ndarray, color: str) -> str:
     return (
         frame(own, (4, 4))
         + stairs(own, edges, share, 0.0, color, 0.35, 1.4)
-        + below(own, "off by [mm]")
+        + label_below(own, "off by [mm]")
         + upright(own, "rows [%]")
     )
 
@@ -168,7 +168,7 @@ def main() -> None:
         errors(1, lengths["geometric"], BEFORE),
         head(2, "trace what remains", "it follows the load of the elbow", INK),
         frame(third, (3, 4)) + level(third, 0.0) + dots(third, torque, asked, GREY),
-        below(third, "gravity torque, joint 3 [N m]") + upright(third, "asked for [mrad]"),
+        label_below(third, "gravity torque, joint 3 [N m]") + upright(third, "asked for [mrad]"),
         head(3, "add the cause", f"{rms['final']:.2f} mm: the noise", AFTER),
         errors(3, lengths["final"], AFTER),
     ]

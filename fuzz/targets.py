@@ -34,7 +34,7 @@ from aridcal.jobs.head1992.shots import board, read_image, read_ranges, shots_of
 from aridcal.jobs.merge.bags import joint_log
 from aridcal.jobs.simulate.scenario import Scenario, check_scenario
 from aridcal.system.errors import AridcalError, MeasurementError, RobotError
-from aridcal.system.reading.regular_files import TABLE, URDF, read_file
+from aridcal.system.reading.regular_files import TABLE_LIMIT, URDF, read_file
 
 CORPUS = Path(__file__).parent / "corpus"
 """A folder of small files for each reader."""
@@ -171,8 +171,8 @@ def _readings(path: Path) -> None:
 
 def _dialect(path: Path) -> None:
     """A table that is looked at as `init` does, and read by what was found."""
-    content = read_file(path, MeasurementError, TABLE)
-    for dialect in look(content, path, TABLE, lambda *asked: len(asked[2]) - 1).dialects:
+    content = read_file(path, MeasurementError, TABLE_LIMIT)
+    for dialect in look(content, path, TABLE_LIMIT, lambda *asked: len(asked[2]) - 1).dialects:
         with suppress(MeasurementError):
             read = read_tables([path], None, dialect=dialect)
             _ = [read.numbers(name) for name in read.names], read.frame()

@@ -31,19 +31,19 @@ SURELY = 3.0
 CERTAINLY = 4.0
 """Standard errors that chance hardly makes."""
 
-FOLDS = 5
+CHOOSING_FOLDS = 5
 """Parts of the rows that are held back in turn, where effects are chosen: four fifths stay to fit with. Convention."""
 
-BLOCKS = 10
+JUDGING_FOLDS = 10
 """The same where what was chosen is judged once more: nine tenths stay to fit with. Convention."""
 
 SLIGHT = 1e-3
 """Share of its size by which a load or a covariate may differ and not change, and what a motion moves is not moved."""
 
-FAINT = 0.05
+FAINT_LEVER_SHARE = 0.05
 """Share of the median lever below which a row says nothing of a motion."""
 
-FEWEST_ROWS = 40
+FEWEST_NOISE_ROWS = 40
 """Rows from which the noise is asked what it is made of: variances are then known to 20 %."""
 
 FEWEST_TOGETHER = 5

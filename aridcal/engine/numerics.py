@@ -18,10 +18,10 @@ RANK = 1e-12
 FLOOR = 1e-12
 """[m] or [rad]: residuals below it are rounding, also where data are exact."""
 
-STEPS = 60
+MOST_ITERATIONS = 60
 """Steps of an iteration that ends before: Gauss-Newton takes five, variances three, bounds of a likelihood a dozen."""
 
-HALVINGS = 40
+STEP_HALVINGS = 40
 """Times that a step is halved: what then does not improve is rounding."""
 
 ROUNDS = 10

@@ -19,21 +19,21 @@ from pydantic import (
     model_validator,
 )
 
-from aridcal.engine.corrections.catalogue import KINDS, is_of_head
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, is_of_head
 from aridcal.engine.corrections.loads import PAYLOAD, Payload
 from aridcal.engine.fit.question import EndFrame, Question
-from aridcal.engine.instruments.kinds import KINDS as MEASURED
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS as MEASURED
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.engine.robot.chain import Robot, load_robot, with_limbs
-from aridcal.engine.robot.drive import Stated
+from aridcal.engine.robot.drive import StatedJoints
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, bears
 from aridcal.files.counting import check_joints, check_on_chain
 from aridcal.files.instrument_settings import InstrumentSettings, Placement, TargetSettings
 from aridcal.files.measurement_settings import MeasurementSettings, Names, listed, one_of
 from aridcal.files.purposes import About, DesignSettings, Region, StudySettings, ToleranceSettings, position_alone
 from aridcal.files.yaml_file import (
-    LARGEST,
+    LARGEST_SETTING,
     AnySection,
     Number,
     RelativePath,
@@ -54,7 +54,7 @@ REFERRING = tuple(kind for kind in MEASURED if labelled(kind))
 
 def _all_kinds(candidates: Any) -> Any:
     """Names of kinds; `all` for those that need not be asked for."""
-    usual = [name for name, kind in KINDS.items() if not kind.asked]
+    usual = [name for name, kind in EFFECT_KINDS.items() if not kind.on_request]
     named = listed(candidates)
     if named is None:
         return None
@@ -63,7 +63,7 @@ def _all_kinds(candidates: Any) -> Any:
 
 
 # Name of a row of the table of kinds.
-EffectKind = Annotated[str, one_of(KINDS)]
+KindName = Annotated[str, one_of(EFFECT_KINDS)]
 
 
 def _as_xacro(value: Any) -> Any:
@@ -100,9 +100,9 @@ class ArmSettings(Section):
     constant, and is identified. Robot programs of such an arm are refused."""
 
     @property
-    def stated(self) -> Stated:
+    def stated(self) -> StatedJoints:
         """Positions of joints that have no column."""
-        return Stated(self.joints, self.coupled)
+        return StatedJoints(self.joints, self.coupled)
 
 
 class RobotSettings(ArmSettings):
@@ -121,7 +121,9 @@ class RobotSettings(ArmSettings):
     @classmethod
     def _vector_or_world(cls, gravity: Any) -> Any:
         listed = isinstance(gravity, list | tuple) and len(gravity) == 3
-        if gravity != "world" and not (listed and all(type(g) in (int, float) and abs(g) <= LARGEST for g in gravity)):
+        if gravity != "world" and not (
+            listed and all(type(g) in (int, float) and abs(g) <= LARGEST_SETTING for g in gravity)
+        ):
             raise ValueError("should be `world` or [x, y, z] in m/s²")
         return gravity
 
@@ -156,7 +158,7 @@ class FrameSettings(Placement):
         return self
 
 
-def placed(settings: FrameSettings | TargetSettings) -> EndFrame:
+def frame_values(settings: FrameSettings | TargetSettings) -> EndFrame:
     """A frame as a campaign states it."""
     by_station = isinstance(settings, FrameSettings) and settings.per is not None
     return EndFrame(pin.SE3(settings.homogeneous), settings.identify, by_station)
@@ -181,7 +183,7 @@ class ParameterSettings(Section):
 
 def _kinds_with(key: str) -> str:
     """Names of the kinds that a key of a declaration belongs to, in words."""
-    return " or ".join(kind.name for kind in KINDS.values() if kind.key == key)
+    return " or ".join(kind.name for kind in EFFECT_KINDS.values() if kind.key == key)
 
 
 class Moment(Section):
@@ -207,7 +209,7 @@ class Moment(Section):
 class EffectDeclaration(Section):
     """An effect that the user knows of: what, where, and what the kind needs besides."""
 
-    kind: EffectKind
+    kind: KindName
     """One of the kinds of effects."""
     where: str
     """A joint, `world_base`, `tip_target`, or what the kind acts at."""
@@ -226,7 +228,7 @@ class EffectDeclaration(Section):
 
     @model_validator(mode="after")
     def _fits_the_kind(self) -> EffectDeclaration:
-        key, words = KINDS[self.kind].key, KINDS[self.kind].bys
+        key, words = EFFECT_KINDS[self.kind].key, EFFECT_KINDS[self.kind].bys
         if (self.with_ is not None) != (key == "with"):
             raise ValueError(f"`with: JOINT` belongs to a {_kinds_with('with')}, which needs it; write it there alone")
         if self.by is not None and key != "by":
@@ -245,7 +247,7 @@ class DiagnosisSettings(Section):
 
     enabled: bool = True
     """`false`: only declared effects are fitted."""
-    candidates: Annotated[tuple[EffectKind, ...], BeforeValidator(_all_kinds)] = Field(
+    candidates: Annotated[tuple[KindName, ...], BeforeValidator(_all_kinds)] = Field(
         default_factory=lambda: _all_kinds("all")
     )
     """`all`, or a list of kinds; `[all, regional, residual_field]` for those two as well."""
@@ -270,7 +272,7 @@ def _with(section: AnySection, key: str, value: object) -> AnySection:
     return other
 
 
-class Job(Settings):
+class JobSettings(Settings):
     """The keys that a campaign and a scenario have in common."""
 
     robot: RobotSettings
@@ -333,7 +335,7 @@ class Job(Settings):
         return self.model_copy(update={"robot": _with(self.robot, "tip", self.carriers[0])})
 
     @model_validator(mode="after")
-    def _head_only_with_camera_sonar(self) -> Job:
+    def _head_only_with_camera_sonar(self) -> JobSettings:
         if self.measurements.traits.of_head and len(self.blocks) == 1:
             if "tip_target" in self.frames.model_fields_set:
                 raise ValueError("frames.tip_target: `kind: camera_sonar` has its target at the tip; delete this key")
@@ -350,7 +352,7 @@ class Job(Settings):
                 )
         pixels = any(block.traits.images for block in self.blocks)
         for number, effect in enumerate(self.effects):
-            of_camera = KINDS[effect.kind].of_head == "camera"
+            of_camera = EFFECT_KINDS[effect.kind].of_head == "camera"
             if is_of_head(effect.kind) and not (pixels and of_camera):
                 of = "`kind: camera_sonar`" + (" or `kind: pixels`" if of_camera else "")
                 raise ValueError(f"effects[{number}].kind: {effect.kind} needs {of}")
@@ -366,9 +368,9 @@ class Job(Settings):
         """The question to its rows: frames, constants, effects."""
         gravity, targets = self.robot.gravity, self.instruments.targets
         return Question(
-            world_base=placed(self.frames.world_base),
-            tip_target=placed(self.frames.tip_target),
-            targets={label: placed(target) for label, target in targets.items()},
+            world_base=frame_values(self.frames.world_base),
+            tip_target=frame_values(self.frames.tip_target),
+            targets={label: frame_values(target) for label, target in targets.items()},
             target_on=self.instruments.targets_on(self.robot.tip),
             constants=self.parameters.set,
             gravity=None if gravity == "world" else np.array(gravity, dtype=float),
@@ -407,7 +409,7 @@ class Job(Settings):
         return self.model_copy(update={"measurements": blocks[0], "listed": blocks if self.listed else ()})
 
     @model_validator(mode="after")
-    def _blocks_can_be_told_apart(self) -> Job:
+    def _blocks_can_be_told_apart(self) -> JobSettings:
         titles = [block.title for block in self.blocks]
         for number, title in enumerate(titles):
             if title in titles[:number]:
@@ -417,7 +419,7 @@ class Job(Settings):
         return self
 
     @model_validator(mode="after")
-    def _instruments_are_used(self) -> Job:
+    def _instruments_are_used(self) -> JobSettings:
         kinds = {block.kind for block in self.blocks}
         if self.instruments.model_fields_set - {"targets"} and kinds.isdisjoint(REFERRING):
             raise ValueError(
@@ -443,7 +445,7 @@ class Job(Settings):
         return self
 
 
-class Campaign(Job):
+class Campaign(JobSettings):
     """A calibration job: a robot, its measurements, and what may be identified from them."""
 
     design: DesignSettings = DesignSettings()
@@ -494,7 +496,7 @@ class Campaign(Job):
         return self
 
 
-def nominal_robot(job: Job) -> Robot:
+def nominal_robot(job: JobSettings) -> Robot:
     """Read the robot that a campaign or a scenario names.
 
     Raises:

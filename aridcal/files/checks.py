@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.engine.rows.repeats import first_alike, tolerances
 from aridcal.files.instrument_settings import ArmCameraSettings
 from aridcal.files.measurement_settings import BEYOND_REACH
-from aridcal.files.quantities import POSITION, STD, TURNS, Source
+from aridcal.files.quantities import POSITION_COLUMNS, STD, TWO_TURNS, TableSource
 from aridcal.files.yaml_file import FINEST
 from aridcal.system.errors import MeasurementError
 
@@ -30,13 +30,13 @@ LEAST_SPAN = 0.02
 LEAST_TURN = 0.5
 
 # Once round, [rad].
-TURN = 2 * np.pi
+LARGEST_TURN_RAD = 2 * np.pi
 
 # Share of the rows that must be impossible before all are refused: fewer are bad rows, not a wrong unit.
 IMPOSSIBLE_SHARE = 0.5
 
 
-def nothing_usable(source: Source) -> MeasurementError:
+def nothing_usable(source: TableSource) -> MeasurementError:
     """The error for a table of which every row is refused: the commonest reasons, and the first."""
     refused = source.refusals()
     counts = Counter(remark.why for remark in refused)
@@ -50,7 +50,7 @@ def nothing_usable(source: Source) -> MeasurementError:
 
 
 def refuse_copies(
-    source: Source, columns: Sequence[np.ndarray | None], labels: Sequence[np.ndarray | None], sequence: np.ndarray
+    source: TableSource, columns: Sequence[np.ndarray | None], labels: Sequence[np.ndarray | None], sequence: np.ndarray
 ) -> None:
     """Keep the first of rows that are equal in every compared column: no instrument measures the same bits twice.
 
@@ -69,7 +69,7 @@ def refuse_copies(
         source.usable[row] = False
 
 
-def _line(source: Source, row: int, remarked: int) -> str:
+def _line(source: TableSource, row: int, remarked: int) -> str:
     """The line of a row, for a remark on another row: with its file, if that is another one."""
     table = source.table
     file = "" if table.file[remarked] == table.file[row] else f" of {table.files[table.file[row]].name}"
@@ -77,7 +77,7 @@ def _line(source: Source, row: int, remarked: int) -> str:
 
 
 def stale_rows(
-    source: Source, q: np.ndarray, measured: np.ndarray, sequence: np.ndarray, noted: bool
+    source: TableSource, q: np.ndarray, measured: np.ndarray, sequence: np.ndarray, noted: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows that share a measurement bit for bit although the joints moved between them: one of them was not measured.
 
@@ -103,7 +103,7 @@ def stale_rows(
     return stale, shared
 
 
-def note_limits(source: Source, q: np.ndarray) -> None:
+def note_limits(source: TableSource, q: np.ndarray) -> None:
     """Name the readings outside their joint's limits; they are of shape (N, columns), [rad] or [m]."""
     rows = np.flatnonzero(source.usable)
     for k, (joint, kind) in enumerate(zip(source.joint_names, source.kinds, strict=True)):
@@ -111,14 +111,14 @@ def note_limits(source: Source, q: np.ndarray) -> None:
         above, below = reading - high, low - reading
         beyond = np.maximum(below, above)
         if kind == "continuous" and np.isfinite([low, high]).all():
-            past_low = np.mod(-below, TURN)
-            beyond = np.minimum(past_low - (high - low), np.mod(below, TURN))
+            past_low = np.mod(-below, LARGEST_TURN_RAD)
+            beyond = np.minimum(past_low - (high - low), np.mod(below, LARGEST_TURN_RAD))
         why = f"outside the limits {low:.6g} .. {high:.6g} of {joint}"
         for row in rows[beyond > LIMIT_SLACK].tolist():
             source.notices.append(source.table.remark(row, source.joint_columns[k], why))
 
 
-def check_units(source: Source, q: np.ndarray, position: np.ndarray | None) -> None:
+def check_units(source: TableSource, q: np.ndarray, position: np.ndarray | None) -> None:
     """Refuse data that cannot be in the stated units, and mention what may not be.
 
     Args:
@@ -138,11 +138,11 @@ def check_units(source: Source, q: np.ndarray, position: np.ndarray | None) -> N
         _check_positions(source, position[source.usable], np.ptp(q[:, turning], axis=0))
 
 
-def _refuse_impossible(source: Source, q: np.ndarray, limits: np.ndarray, turning: np.ndarray) -> None:
+def _refuse_impossible(source: TableSource, q: np.ndarray, limits: np.ndarray, turning: np.ndarray) -> None:
     """Refuse readings of which most are outside their limits and further than any joint moves."""
     limited = np.isfinite(limits).all(axis=1)
     outside = limited & ((q < limits[:, 0]) | (q > limits[:, 1]))
-    impossible = outside & (np.abs(q) > np.where(turning, TURNS, BEYOND_REACH))
+    impossible = outside & (np.abs(q) > np.where(turning, TWO_TURNS, BEYOND_REACH))
     if impossible.any(axis=1).mean() <= IMPOSSIBLE_SHARE:
         return
     bad = impossible.any(axis=0)
@@ -152,19 +152,19 @@ def _refuse_impossible(source: Source, q: np.ndarray, limits: np.ndarray, turnin
     raise source.wrong_unit([source.joint_columns[k] for k in worst], "angle" if angles else "length", largest)
 
 
-def _note_odd_angles(source: Source, turns: np.ndarray) -> None:
+def _note_odd_angles(source: TableSource, turns: np.ndarray) -> None:
     """Mention angles that may be in the other unit, from absolute readings of shape (N, turning joints), [rad]."""
-    if turns.size and np.median(turns.max(axis=1)) > TURNS:
+    if turns.size and np.median(turns.max(axis=1)) > TWO_TURNS:
         source.note("", "most rows have a joint beyond two turns: are the angles in degrees (`units: {angle: deg}`)?")
-    if turns.any() and source.settings.units.angle == "deg" and turns.max() < np.radians(TURN):
+    if turns.any() and source.settings.units.angle == "deg" and turns.max() < np.radians(LARGEST_TURN_RAD):
         source.note("", "no joint turns beyond 6.3 degrees: are the angles in radians (`units: {angle: rad}`)?")
 
 
-def _check_positions(source: Source, position: np.ndarray, travel: np.ndarray) -> None:
+def _check_positions(source: TableSource, position: np.ndarray, travel: np.ndarray) -> None:
     """Refuse positions (N, 3), [m], that no arm reaches, or that stay in place though joints turn by ``travel`` [rad]."""
     units = source.settings.units
     if np.median(np.linalg.norm(position, axis=1)) > BEYOND_REACH:
-        columns = [source.column(name) for name in POSITION]
+        columns = [source.column(name) for name in POSITION_COLUMNS]
         error = source.wrong_unit(columns, "length", float(np.abs(position).max()))
         raise MeasurementError(f"{error}; if they are right, move the origin of the world near the robot")
     span = float(np.linalg.norm(np.ptp(position, axis=0)))
@@ -176,7 +176,7 @@ def _check_positions(source: Source, position: np.ndarray, travel: np.ndarray) -
 
 
 def refuse_impossible_readings(
-    source: Source, observed: np.ndarray, cameras: Mapping[str, ArmCameraSettings], camera: np.ndarray | None
+    source: TableSource, observed: np.ndarray, cameras: Mapping[str, ArmCameraSettings], camera: np.ndarray | None
 ) -> None:
     """Refuse rows with numbers that no such instrument can have read.
 
@@ -201,7 +201,7 @@ def refuse_impossible_readings(
                 source.refuse(outside[:, k] & (camera == name), source.column(axis), why)
 
 
-def check_distances(source: Source, observed: np.ndarray) -> None:
+def check_distances(source: TableSource, observed: np.ndarray) -> None:
     """Refuse distances that cannot be in the stated unit.
 
     Args:

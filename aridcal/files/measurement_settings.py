@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from aridcal.engine.instruments.kind import Kind
-from aridcal.engine.instruments.kinds import KINDS
-from aridcal.files.formats.robot_calibration import NAME
-from aridcal.files.yaml_file import FINEST, LARGEST, RelativePath, Section
+from aridcal.engine.instruments.kind import MeasurementKind
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
+from aridcal.files.formats.robot_calibration import FORMAT_NAME
+from aridcal.files.yaml_file import FINEST, LARGEST_SETTING, RelativePath, Section
 from aridcal.system.errors import CampaignError, nearest, shortened
 from aridcal.system.reading.dialect import BLANKS, PLAIN, Dates, Dialect
 from aridcal.system.reading.user_names import check_name
@@ -70,7 +70,7 @@ def with_unit(text: object, units: Mapping[str, float], example: str) -> float:
         ValueError: it is none, or has no unit.
     """
     number, unit = amount(text)
-    if unit not in units or not 0.0 < number < LARGEST:
+    if unit not in units or not 0.0 < number < LARGEST_SETTING:
         raise ValueError(
             f"should be a number with its unit ({', '.join(units)}), {example} for instance, not {shortened(str(text))!r}"
         )
@@ -107,7 +107,7 @@ Names = Annotated[tuple[str, ...], BeforeValidator(listed)]
 Sigma = Annotated[float, Field(ge=FINEST, le=1e3)]
 
 
-class Noise(Section):
+class NoiseSettings(Section):
     """1 sigma per axis, of the channels that the kind has; what is absent is estimated."""
 
     position: Sigma | None = None
@@ -150,7 +150,7 @@ def _can_be_shown(name: str) -> str:
 
 Name = Annotated[str, AfterValidator(_can_be_shown)]
 
-Line = Annotated[int, Field(ge=1, le=LAST_LINE)]
+LineNumber = Annotated[int, Field(ge=1, le=LAST_LINE)]
 
 
 class DatesSettings(Section):
@@ -175,9 +175,9 @@ class TableSettings(Section):
     """Decimal sign."""
     thousands: Literal["", ".", ",", "'", "blank"] = ""
     """Sign between groups of three digits; only such groups are read so."""
-    header: Annotated[tuple[Line, ...], BeforeValidator(listed), Field(min_length=1, max_length=8)] = (1,)
+    header: Annotated[tuple[LineNumber, ...], BeforeValidator(listed), Field(min_length=1, max_length=8)] = (1,)
     """Lines whose cells name the columns, put together with blanks: `[3, 4]` for `Tool X`."""
-    first_row: Line | None = None
+    first_row: LineNumber | None = None
     """Line of the first row; default: below the header."""
     comment: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], BeforeValidator(listed)] = ()
     """Beginnings of lines that are no rows; a header line may begin so."""
@@ -213,7 +213,7 @@ class TableSettings(Section):
             names=self.names,
             lists=dict(self.lists),
             dates=Dates(self.dates.order, self.dates.columns) if self.dates else None,
-            export=NAME if self.export else "",
+            export=FORMAT_NAME if self.export else "",
         )
 
     @property
@@ -329,7 +329,7 @@ class JointColumn(Section):
     @classmethod
     def _has_its_unit(cls, zero: object) -> object:
         number, unit = amount(zero)
-        if unit not in {**ANGLES, **LENGTHS} or abs(number) > LARGEST:
+        if unit not in {**ANGLES, **LENGTHS} or abs(number) > LARGEST_SETTING:
             raise ValueError(
                 f"should be a number with its unit ({', '.join([*ANGLES, *LENGTHS])}), 90deg for instance: what the column shows "
                 f"where the URDF's joint is at 0; not {shortened(str(zero))!r}"
@@ -355,7 +355,7 @@ class MeasurementSettings(Section):
     """Table or tables: `.csv`, `.parquet`, `.xlsx`, or text with `table`; required, but for `camera_sonar`."""
     head: RelativePath | None = None
     """`head.yaml` of the measuring head, for `kind: camera_sonar`, in place of `file`."""
-    kind: Annotated[str, one_of(tuple(KINDS))] = "pose"
+    kind: Annotated[str, one_of(tuple(MEASUREMENT_KINDS))] = "pose"
     """Kind of measurement."""
     name: str | None = None
     """Name of the block; default: its kind. Two blocks of one kind need names."""
@@ -369,7 +369,7 @@ class MeasurementSettings(Section):
     """The two links that hold one body, for `kind: joined`; rows need the joints between them. A body put down and
     taken up again is another grasp; one row of a grasp tells nothing of the arms; their common scale takes a length (a
     ballbar, a tracker)."""
-    noise: Noise = Noise()
+    noise: NoiseSettings = NoiseSettings()
     columns: dict[str, str] = Field(default_factory=dict)
     """Column of a joint or a quantity where the names differ: `{x: "Tool X"}`; needed for a joint called `x`, `time`,
     …"""
@@ -443,9 +443,9 @@ class MeasurementSettings(Section):
         return 1 if joint is None else joint.sign
 
     @property
-    def traits(self) -> Kind:
+    def traits(self) -> MeasurementKind:
         """Its kind's row of the table of kinds."""
-        return KINDS[self.kind]
+        return MEASUREMENT_KINDS[self.kind]
 
     @property
     def title(self) -> str:

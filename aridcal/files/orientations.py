@@ -13,7 +13,7 @@ from aridcal.files.measurement_settings import MeasurementSettings
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-POSITION = ("x", "y", "z")
+POSITION_COLUMNS = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
@@ -43,7 +43,7 @@ def turned(cells: np.ndarray, settings: MeasurementSettings) -> Rotation:
     return pose.turned(cells, settings.orientation.euler)
 
 
-def other_way(
+def swap_direction(
     R: np.ndarray, p: np.ndarray, inverted: Literal["pose", "orientation"] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses of the target in the world from those of a table that has them the other way round, and back.
@@ -66,7 +66,7 @@ def normalised(cells: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.nd
     return quaternion / np.where(norm > 0, norm, 1)[:, None], norm
 
 
-def of_matrices(cells: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def quaternions_of_matrices(cells: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Quaternions of rotation matrices, and how far these are from rotations.
 
     Args:

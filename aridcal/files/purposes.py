@@ -81,7 +81,7 @@ def _worded(most: int) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-Line = Annotated[str, _worded(120)]
+OneLine = Annotated[str, _worded(120)]
 
 Paragraph = Annotated[str, _worded(500)]
 
@@ -89,21 +89,21 @@ Paragraph = Annotated[str, _worded(500)]
 class About(Section):
     """Text of the certificate beside its figures, as the user states it."""
 
-    robot: Line | None = None
+    robot: OneLine | None = None
     """Maker and type; default: the URDF's name."""
-    serial_number: Line | None = None
+    serial_number: OneLine | None = None
     """In quotes: YAML reads `00123` as 83."""
-    instrument: Line | None = None
+    instrument: OneLine | None = None
     """Maker and type."""
-    instrument_serial: Line | None = None
+    instrument_serial: OneLine | None = None
     """Its serial number, in quotes."""
-    who: Line | None = None
+    who: OneLine | None = None
     """Who measured."""
-    organisation: Line | None = None
+    organisation: OneLine | None = None
     """For whom."""
-    certificate_number: Line | None = None
+    certificate_number: OneLine | None = None
     """In quotes."""
-    date: Line | None = None
+    date: OneLine | None = None
     """Date of the measurement; default: that of the files."""
     environment: Paragraph | None = None
     """Temperature, humidity, time of warming up."""

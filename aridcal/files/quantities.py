@@ -18,17 +18,17 @@ from aridcal.files.measurement_settings import MeasurementSettings
 from aridcal.files.orientations import (
     IDENTITY,
     MATRIX_SLACK,
-    POSITION,
+    POSITION_COLUMNS,
     QUATERNION,
     QUATERNION_SLACK,
     column_of,
     normalised,
-    of_matrices,
     orientation_columns,
-    other_way,
+    quaternions_of_matrices,
+    swap_direction,
     turned,
 )  # fmt: skip
-from aridcal.files.yaml_file import FINEST, LARGEST
+from aridcal.files.yaml_file import FINEST, LARGEST_SETTING
 from aridcal.system.errors import CampaignError, MeasurementError, has_controls, nearest
 from aridcal.system.reading.user_names import LONGEST_NAME
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from aridcal.files.tables import Table
 
 STD = ("std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz")
-POSE_OR_LABEL = (*POSITION, *QUATERNION, *STD, "station", "split")
+POSE_OR_LABEL = (*POSITION_COLUMNS, *QUATERNION, *STD, "station", "split")
 QUANTITIES = (*POSE_OR_LABEL, "time", "temperature", "payload")
 
 # Words in names of columns that a controller computes from its own joints: ``actual_TCP_pose`` of UR's real-time data.
@@ -52,17 +52,17 @@ LEAST_HOLE = 1e30
 # Why a joint may not have a column.
 STATED_JOINT = "`robot.joints` or `robot.coupled` says where this joint is in all rows"
 # More than an angle of a pose, or a joint with limits, turns, [rad].
-TURNS = 4 * np.pi
+TWO_TURNS = 4 * np.pi
 
 
 def computed(settings: MeasurementSettings) -> tuple[str, ...]:
     """Columns of the measured position whose names say that a controller has worked them out from its joints."""
-    names = [settings.columns.get(name, name) for name in POSITION]
+    names = [settings.columns.get(name, name) for name in POSITION_COLUMNS]
     return tuple(name for name in names if set(re.findall("[a-z]+", name.lower())) >= COMPUTED)
 
 
 @dataclass
-class Source:
+class TableSource:
     """A table while it is read: which rows are still usable, and the remarks on the others.
 
     Attributes:
@@ -178,7 +178,7 @@ class Source:
                 self._take([name])
                 numbers, _ = self.table.numbers(name)
                 shown = numbers * scales.unit[k]
-                values[:, k] = np.where(np.abs(shown) <= LARGEST, shown, np.nan)
+                values[:, k] = np.where(np.abs(shown) <= LARGEST_SETTING, shown, np.nan)
         return scales.of_shown(values)
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
@@ -191,7 +191,7 @@ class Source:
         if self.settings.inverted is None:
             return position, quaternion
         with np.errstate(invalid="ignore"):  # of cells that are refused
-            _, p = other_way(pose.turned(quaternion).as_matrix(), position, self.settings.inverted)
+            _, p = swap_direction(pose.turned(quaternion).as_matrix(), position, self.settings.inverted)
         return p, quaternion * CONJUGATE
 
     def position(self) -> np.ndarray:
@@ -200,7 +200,7 @@ class Source:
         Raises:
             MeasurementError: there are no such columns.
         """
-        columns = [self.column(name) for name in POSITION]
+        columns = [self.column(name) for name in POSITION_COLUMNS]
         self.table.require(columns, "Name them x y z, or map them under measurements.columns")
         return self.needed(columns, [self.settings.units.scale(name, "length") for name in columns])
 
@@ -222,7 +222,7 @@ class Source:
             return self._from_angles(columns)
         cells = self.needed(columns, 1.0)
         if self.settings.orientation.matrix:
-            quaternion, off = of_matrices(cells, self.usable)
+            quaternion, off = quaternions_of_matrices(cells, self.usable)
             self.refuse(off > MATRIX_SLACK, f"{columns[0]} … {columns[-1]}", "the matrix is no rotation", off)
         else:
             quaternion, norm = normalised(cells, self.usable)
@@ -235,7 +235,7 @@ class Source:
         angles = self.needed(columns, self._angle_scales(columns))
         angles = np.where(self.usable[:, None], angles, 0)
         largest = np.abs(angles[self.usable]).max(axis=1, initial=0)
-        if len(largest) and np.mean(largest > TURNS) > 0.5:
+        if len(largest) and np.mean(largest > TWO_TURNS) > 0.5:
             raise self.wrong_unit(columns, "angle", float(np.abs(angles).max()))
         return np.asarray(turned(angles, self.settings).as_quat())
 
@@ -414,7 +414,7 @@ class Source:
         for k, name in enumerate(columns):
             with np.errstate(over="ignore", invalid="ignore"):  # of cells that are refused
                 values[:, k] = self._finite(name) * scales[k]
-            too_large = np.abs(values[:, k]) > LARGEST
+            too_large = np.abs(values[:, k]) > LARGEST_SETTING
             self.refuse(too_large, name, "implausibly large")
         return values
 

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from aridcal.engine.corrections.labels import STATION, label_columns
+from aridcal.engine.corrections.labels import LABEL_COLUMN, label_columns
 from aridcal.engine.robot.chain import JointKind
 from aridcal.engine.rows.remarks import Remark
 from aridcal.files.checks import check_units, note_limits
 from aridcal.files.measurement_settings import TARGET, MeasurementSettings
-from aridcal.files.quantities import POSITION, Source
+from aridcal.files.quantities import POSITION_COLUMNS, TableSource
 from aridcal.system.errors import MeasurementError
-from aridcal.system.reading.regular_files import TABLE, Limit
+from aridcal.system.reading.regular_files import TABLE_LIMIT, Limit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -116,7 +116,7 @@ def load_query(
     needs: Collection[str] = (),
     of_labels: Collection[str] = (),
     stated: Collection[str] = (),
-    limit: Limit = TABLE,
+    limit: Limit = TABLE_LIMIT,
 ) -> Query:
     """Read a table of joint readings, or of wanted poses, keeping every row and column.
 
@@ -144,11 +144,11 @@ def load_query(
 
     settings = settings or MeasurementSettings()
     dialect = settings.table.dialect
-    needed = [settings.columns.get(name, name) for name in (POSITION if poses else readings)]
+    needed = [settings.columns.get(name, name) for name in (POSITION_COLUMNS if poses else readings)]
     table = query if isinstance(query, Table) else read_tables([query], (), limit, dialect, needed)
     if table.refused:
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
-    source = Source(table, settings, tuple(readings), kinds, limits, table.title, stated)
+    source = TableSource(table, settings, tuple(readings), kinds, limits, table.title, stated)
     q = source.seeds() if poses else source.joints()
     position, quaternion = None, None
     if poses and not settings.traits.place_alone:
@@ -157,16 +157,16 @@ def load_query(
         position = source.position()
     if not settings.traits.place_alone:
         source.refuse_second_orientation()
-    if per_station and label != STATION:
+    if per_station and label != LABEL_COLUMN:
         table.require([source.column(TARGET)], "this calibration has several targets: name one in each row")
-    first = TARGET if label == TARGET else STATION
+    first = TARGET if label == TARGET else LABEL_COLUMN
     station = source.labels(first, needed=first if per_station else "")
     target = source.labels(TARGET, needed=TARGET) if label == "both" else None
     of_stations = station
     if of_labels:
         why = "this calibration has constants by station: name each row's, or leave its cell empty for the one model of all"
-        source.table.require([source.column(STATION)], why)
-        of_stations = station if first == STATION else source.labels(STATION)
+        source.table.require([source.column(LABEL_COLUMN)], why)
+        of_stations = station if first == LABEL_COLUMN else source.labels(LABEL_COLUMN)
     covariates = source.covariates() | label_columns(of_labels, of_stations)
     _refuse_text(source, poses)
     _refuse_holes(source, covariates, needs)
@@ -200,7 +200,7 @@ def seeded(poses: AnyTable, seed: AnyTable, settings: MeasurementSettings, readi
     from aridcal.files.tables import read_tables  # as above
 
     joints = [settings.columns.get(name, name) for name in readings]
-    places = [settings.columns.get(name, name) for name in POSITION]
+    places = [settings.columns.get(name, name) for name in POSITION_COLUMNS]
     dialect = settings.table.dialect
     start = read_tables([seed], dialect=dialect, needed=joints)
     start.require(joints, "`seed` has a column for each joint")
@@ -213,9 +213,9 @@ def seeded(poses: AnyTable, seed: AnyTable, settings: MeasurementSettings, readi
     return table.assign(**{joint: rows[joint].to_numpy() for joint in joints})
 
 
-def _refuse_text(source: Source, poses: bool) -> None:
+def _refuse_text(source: TableSource, poses: bool) -> None:
     """Refuse a table with words among its joints or poses: an empty cell asks for nothing, a word is a slip."""
-    pose_columns = [source.column(name) for name in POSITION] if poses else []
+    pose_columns = [source.column(name) for name in POSITION_COLUMNS] if poses else []
     pose_columns += source.orientation_columns if poses and not source.settings.traits.place_alone else []
     for name in (*source.joint_columns, *pose_columns):
         if name in source.table.cells:
@@ -223,7 +223,7 @@ def _refuse_text(source: Source, poses: bool) -> None:
             _refuse(source, is_text, name, "not a number", "write one, or leave the cell empty")
 
 
-def _refuse_holes(source: Source, covariates: dict[str, np.ndarray], needs: Collection[str]) -> None:
+def _refuse_holes(source: TableSource, covariates: dict[str, np.ndarray], needs: Collection[str]) -> None:
     """Refuse a table in which a covariate that an effect depends on is not known in every usable row."""
     for name in needs:
         if name in covariates:
@@ -232,7 +232,7 @@ def _refuse_holes(source: Source, covariates: dict[str, np.ndarray], needs: Coll
             _refuse(source, holes, source.column(name), "missing", advice)
 
 
-def _refuse(source: Source, bad: np.ndarray, column: str, why: str, advice: str) -> None:
+def _refuse(source: TableSource, bad: np.ndarray, column: str, why: str, advice: str) -> None:
     """Refuse the table for some of its rows (N,), naming the first."""
     rows = np.flatnonzero(bad)
     if len(rows):

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aridcal.engine.instruments.kind import Kind
+from aridcal.engine.instruments.kind import MeasurementKind
 from aridcal.engine.instruments.pose import pose_numbers, turned
 from aridcal.engine.instruments.setup import TIP, Block
 from aridcal.engine.robot.chain import JointKind, Robot, Route, check_route
-from aridcal.engine.rows.dataset import Dataset, RowNoise, together, weighed, weighed_apart
+from aridcal.engine.rows.dataset import Dataset, RowNoise, joined_datasets, weighed, weighed_apart
 from aridcal.engine.rows.remarks import Remark
 from aridcal.engine.rows.repeats import blocks, by_content, places
-from aridcal.engine.rows.row_facts import ROLES, Labels, Origin, Repeats, untold
+from aridcal.engine.rows.row_facts import ROLES, Labels, Origin, Repeats, no_labels
 from aridcal.engine.rows.split import draw_split, with_training_rows
 from aridcal.files.campaign import Campaign
 from aridcal.files.checks import (
@@ -29,12 +29,18 @@ from aridcal.files.checks import (
     stale_rows,
 )
 from aridcal.files.measurement_settings import LABELLED, SHOT, TARGET, MeasurementSettings
-from aridcal.files.quantities import Source
+from aridcal.files.quantities import TableSource
 from aridcal.files.routes import needed_columns, numbered, routes_of
-from aridcal.files.things import Known, Rows, instruments_of, known_of, with_trackers
-from aridcal.system.errors import CampaignError, MeasurementError, listed, nearest, shortened
+from aridcal.files.things import (
+    InstrumentDeclarations,
+    ThingReferences,
+    instrument_declarations,
+    instruments_of,
+    with_trackers,
+)
+from aridcal.system.errors import CampaignError, MeasurementError, name_list, nearest, shortened
 from aridcal.system.reading.dates import DAY, NIGHTS, unrolled
-from aridcal.system.reading.freed import give_back
+from aridcal.system.reading.memory_release import give_back
 
 if TYPE_CHECKING:
     from aridcal.files.tables import AnyTable, Table
@@ -43,7 +49,7 @@ ONE_TARGET = "target"
 """Label of the target of rows that name none, where others do."""
 
 
-def own_target(kind: Kind, title: str) -> str:
+def default_target(kind: MeasurementKind, title: str) -> str:
     """Label of the target for rows of a block that name none: the tip for links, a level's own frame, else the only target."""
     if kind.bare:
         return TIP
@@ -62,7 +68,7 @@ class _Request:
     require_pose: bool
     fitted: bool
     own_files: bool
-    declarations: Known
+    declarations: InstrumentDeclarations
     robot: Robot | None
 
 
@@ -105,7 +111,7 @@ def load_measurements(
         MeasurementError: a file cannot be read, lacks columns, is not in the stated units, has two orientations that
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
-    declarations, own_files = known_of(campaign), files is None
+    declarations, own_files = instrument_declarations(campaign), files is None
     robot = robot if campaign.links else None
     request = _Request(
         campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own_files, declarations, robot
@@ -116,7 +122,7 @@ def load_measurements(
     if not (direct or fitted):
         parts_by_number = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
         parts = [parts_by_number.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
-    rows = parts[0].rows if direct else _with_targets(campaign, together([part.rows for part in parts]))
+    rows = parts[0].rows if direct else _with_targets(campaign, joined_datasets([part.rows for part in parts]))
     if fitted:
         by_draw = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
         rows = with_training_rows(rows, campaign.question.by_station, by_draw)
@@ -154,7 +160,7 @@ def _block(request: _Request, number: int, tables: Sequence[AnyTable]) -> _Part:
     return _Part(rows, noise)
 
 
-def _source(request: _Request, number: int, tables: Sequence[AnyTable]) -> Source:
+def _source(request: _Request, number: int, tables: Sequence[AnyTable]) -> TableSource:
     """The tables of a block as they stand in their files."""
     campaign, settings = request.campaign, request.campaign.blocks[number]
     joint_columns = [settings.columns.get(name, name) for name in request.readings]
@@ -167,7 +173,9 @@ def _source(request: _Request, number: int, tables: Sequence[AnyTable]) -> Sourc
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
     without_column = campaign.robot.stated.names
-    return Source(table, settings, request.readings, request.kinds, request.limits, str(campaign.path), without_column)
+    return TableSource(
+        table, settings, request.readings, request.kinds, request.limits, str(campaign.path), without_column
+    )
 
 
 @dataclass(frozen=True)
@@ -247,7 +255,7 @@ def _read(request: _Request, number: int, tables: Sequence[AnyTable]) -> tuple[D
     return rows, chosen, RowNoise(std, absolute=source.settings.noise.rows == "absolute")
 
 
-def _cells(source: Source, request: _Request) -> _Cells:
+def _cells(source: TableSource, request: _Request) -> _Cells:
     """Read every cell that is needed, column by column: the first column that cannot be used is the one that is named."""
     campaign, settings, n = request.campaign, source.settings, len(source.table)
     q = source.joints() if request.robot is None else np.zeros((n, len(request.kinds)))
@@ -257,7 +265,7 @@ def _cells(source: Source, request: _Request) -> _Cells:
     if target is None and settings.target is not None:
         target = np.full(n, settings.target)
     of_things = request.require_pose and not tracked
-    observed, refers = np.full((n, 3), np.nan) if position is None else position, untold(n).refers
+    observed, refers = np.full((n, 3), np.nan) if position is None else position, no_labels(n).refers
     if of_things:
         observed, refers = _of_things(source, request)
     if request.robot is not None:
@@ -269,7 +277,7 @@ def _cells(source: Source, request: _Request) -> _Cells:
     return _Cells(q, position, quaternion, std, observed, refers, of_things, target, station, split, covariates)
 
 
-def _of_target(source: Source) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+def _of_target(source: TableSource) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
     """Position, quaternion and declared noise of a target that a tracker measures."""
     if source.settings.traits.oriented:
         position, quaternion = source.pose()
@@ -278,7 +286,7 @@ def _of_target(source: Source) -> tuple[np.ndarray, np.ndarray | None, np.ndarra
     return source.position(), None, source.std()
 
 
-def _of_things(source: Source, request: _Request) -> tuple[np.ndarray, np.ndarray]:
+def _of_things(source: TableSource, request: _Request) -> tuple[np.ndarray, np.ndarray]:
     """Readings of an instrument, and what each row refers to."""
     observed, refers = _observed(source), _refers(source, request)
     camera = refers[:, 0] if source.settings.traits.images else None
@@ -286,7 +294,7 @@ def _of_things(source: Source, request: _Request) -> tuple[np.ndarray, np.ndarra
     return observed, refers
 
 
-def _order(source: Source, cells: _Cells) -> _Order:
+def _order(source: TableSource, cells: _Cells) -> _Order:
     """The orders of rows that the checks and the data set need."""
     words = [
         None if label is None else np.unique(label, return_inverse=True)[1] for label in (*cells.labels, cells.split)
@@ -296,7 +304,7 @@ def _order(source: Source, cells: _Cells) -> _Order:
     return _Order(canonical, canonical if timed else np.arange(len(source.table)))
 
 
-def _checked(source: Source, cells: _Cells, order: _Order) -> tuple[np.ndarray, Repeats]:
+def _checked(source: TableSource, cells: _Cells, order: _Order) -> tuple[np.ndarray, Repeats]:
     """What rows measure as the data set has it, and which measurements repeat earlier ones; configurations are not counted yet.
 
     Raises:
@@ -318,10 +326,10 @@ def _checked(source: Source, cells: _Cells, order: _Order) -> tuple[np.ndarray, 
     return pose_numbers(cells.position, rotation), Repeats(uncounted, stale, doubtful)
 
 
-def _dataset(source: Source, request: _Request, cells: _Cells, observed: np.ndarray, repeats: Repeats) -> Dataset:
+def _dataset(source: TableSource, request: _Request, cells: _Cells, observed: np.ndarray, repeats: Repeats) -> Dataset:
     """All rows of a block, in the order of the table."""
     table, n = source.table, len(source.table)
-    nothing = untold(n)
+    nothing = no_labels(n)
     return Dataset(
         names=request.readings,
         kinds=request.kinds,
@@ -346,7 +354,7 @@ def _dataset(source: Source, request: _Request, cells: _Cells, observed: np.ndar
     )
 
 
-def _unroll(source: Source, covariates: dict[str, np.ndarray]) -> None:
+def _unroll(source: TableSource, covariates: dict[str, np.ndarray]) -> None:
     """Add a day to the times of rows after midnight.
 
     Raises:
@@ -388,7 +396,7 @@ def _direct(campaign: Campaign, rows: Dataset) -> bool:
     return only and rows.labels.target is None and not campaign.links
 
 
-def _observed(source: Source) -> np.ndarray:
+def _observed(source: TableSource) -> np.ndarray:
     """Readings of the instrument of each row, shape (N, W), in SI; a touched plane without a gauge reads 0."""
     settings, kind = source.settings, source.settings.traits
     names = kind.read
@@ -403,7 +411,7 @@ def _observed(source: Source) -> np.ndarray:
     return source.needed(cells, scale)
 
 
-def _refers(source: Source, request: _Request) -> np.ndarray:
+def _refers(source: TableSource, request: _Request) -> np.ndarray:
     """Labels of the things that each row refers to, shape (N, 3), in the order of the kind's roles."""
     settings, declarations = source.settings, request.declarations
     n = len(source.table)
@@ -437,13 +445,13 @@ def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> st
         return declared[0]
     if role == "camera":
         raise CampaignError(
-            f"{campaign.path}: measurements.camera: there are several cameras ({listed(declared)}); say which took the "
+            f"{campaign.path}: measurements.camera: there are several cameras ({name_list(declared)}); say which took the "
             f"images of {settings.title}: `camera: NAME`, or a column `camera`"
         )
     return settings.title
 
 
-def _declared_cameras(source: Source, words: np.ndarray, declarations: Known) -> np.ndarray:
+def _declared_cameras(source: TableSource, words: np.ndarray, declarations: InstrumentDeclarations) -> np.ndarray:
     """Camera of each row, shape (N,), any declared one in unusable rows.
 
     Raises:
@@ -468,17 +476,19 @@ def _with_targets(campaign: Campaign, rows: Dataset) -> Dataset:
     """
     labels = rows.labels.target
     label = labels if labels is not None else np.full(len(rows), "", dtype=str)
-    defaults = {block.title: own_target(block.traits, block.title) for block in campaign.blocks}
+    defaults = {block.title: default_target(block.traits, block.title) for block in campaign.blocks}
     if labels is None and len(set(defaults.values())) == 1:
         return rows
     if TIP in label and TIP in defaults.values():
         bare = dict.fromkeys(f"`kind: {block.kind}`" for block in campaign.blocks if block.traits.bare)
-        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {listed([*bare])}; rename it")
+        raise MeasurementError(
+            f"a target is called {TIP!r}, as the tip itself is beside {name_list([*bare])}; rename it"
+        )
     filled = np.where(label == "", np.array([defaults[block.name] for block in rows.blocks])[rows.labels.block], label)
     if campaign.frames.tip_target.per is not None:
         raise CampaignError(
             f"{campaign.path}: frames.tip_target: `per: station` is not for several targets "
-            f"({listed(np.unique(filled).tolist())}); delete it, and give a target that was moved a label of its own"
+            f"({name_list(np.unique(filled).tolist())}); delete it, and give a target that was moved a label of its own"
         )
     return rows.with_labels(target=filled)
 
@@ -506,7 +516,8 @@ def _with_instruments(rows: Dataset, request: _Request) -> Dataset:
     """The rows with the instruments and things that they refer to, and their paths."""
     rows = rows.with_labels(refers=with_trackers(rows.labels.refers, rows.blocks, rows.labels.block, request.readings))
     of_blocks = [
-        Rows(b.traits, rows.labels.refers[rows.labels.block == number]) for number, b in enumerate(rows.blocks)
+        ThingReferences(b.traits, rows.labels.refers[rows.labels.block == number])
+        for number, b in enumerate(rows.blocks)
     ]
     instruments, remarks = instruments_of(
         request.declarations, of_blocks, request.readings, request.fitted and request.own_files
@@ -544,7 +555,9 @@ def _undeclared_targets(rows: Dataset, campaign: Campaign) -> Iterator[str]:
         )
 
 
-def with_routes(rows: Dataset, blocks: Sequence[MeasurementSettings], declarations: Known, robot: Robot) -> Dataset:
+def with_routes(
+    rows: Dataset, blocks: Sequence[MeasurementSettings], declarations: InstrumentDeclarations, robot: Robot
+) -> Dataset:
     """The rows with the paths that they take.
 
     Raises:
@@ -599,7 +612,7 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
         needed = {k: len(campaign.blocks[k].needs) for k in having}
         most = [k for k in having if needed[k] == max(needed.values())]
         if len(most) != 1:
-            titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
+            titles = name_list([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
             what = f"{'several' if most else 'none'} of the blocks {titles}"
             raise MeasurementError(
                 f"{path_of(table)}: its columns fit {what}; give it the columns of one, and that one columns that no other "

@@ -6,14 +6,14 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.engine.robot.chain import Robot, Route
-from aridcal.files.things import Known
+from aridcal.files.things import InstrumentDeclarations
 
 
 def routes_of(
-    declarations: Known,
+    declarations: InstrumentDeclarations,
     kind: str,
     refers: np.ndarray,
     target: np.ndarray | None,
@@ -34,7 +34,7 @@ def routes_of(
     """
     if links is not None:
         return [_between(*links, tip)] * len(refers)
-    roles = [role.name for role in KINDS[kind].roles]
+    roles = [role.name for role in MEASUREMENT_KINDS[kind].roles]
     targets = np.full(len(refers), "") if target is None else target
     labels = np.column_stack([refers, targets]).astype(str)
     distinct, number = np.unique(labels, axis=0, return_inverse=True)
@@ -42,7 +42,7 @@ def routes_of(
     return [routes[k] for k in np.ravel(number).tolist()]
 
 
-def _route(declarations: Known, label: dict[str, str], target: str, tip: str) -> Route:
+def _route(declarations: InstrumentDeclarations, label: dict[str, str], target: str, tip: str) -> Route:
     """The path from the instrument's carrier to the target's, by labels of things and of the target."""
     carriers = {role: declarations.carrier(role, name) for role, name in label.items() if name}
     if "camera" in carriers:

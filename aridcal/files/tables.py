@@ -17,14 +17,14 @@ import pyarrow.compute as pc
 
 from aridcal.engine.rows.remarks import Remark
 from aridcal.files.formats import robot_calibration
-from aridcal.system.errors import SHOWN, MeasurementError, listed, nearest
+from aridcal.system.errors import SHOWN_LENGTH, MeasurementError, name_list, nearest
 from aridcal.system.reading import workbooks
 from aridcal.system.reading.dialect import PLAIN, Dialect
 from aridcal.system.reading.numerals import NO_NUMBER
-from aridcal.system.reading.regular_files import TABLE, Limit, read_file
+from aridcal.system.reading.regular_files import TABLE_LIMIT, Limit, read_file
 from aridcal.system.reading.table_files import FileCells, check_header, read_csv, read_parquet, whole
+from aridcal.system.reading.tables_in_dialect import read_in_dialect
 from aridcal.system.reading.user_names import check_path
-from aridcal.system.reading.written import read_written
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,10 +41,10 @@ DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*")
 # A number as programs write it.
 PLAIN_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
 
-ENDINGS = (".csv", ".parquet")
+TABLE_ENDINGS = (".csv", ".parquet")
 
 # Endings of files that are read as a campaign says (`table`), or as plain csv or a workbook of one sheet.
-OTHER_ENDINGS = (".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".prn", *workbooks.ENDINGS)
+OTHER_ENDINGS = (".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".prn", *workbooks.WORKBOOK_ENDINGS)
 
 # Characters of a cell as text: no path of a file has more than 4,096, and every cell of a column takes as much as its longest.
 LONGEST_TEXT = 5_000
@@ -129,7 +129,7 @@ class Table:
         file = self.file[row]
         first_of_file = np.searchsorted(self.file, file)
         value = self.cells[name][file][int(row - first_of_file)].as_py()
-        return "" if value is None else str(value)[:SHOWN]
+        return "" if value is None else str(value)[:SHOWN_LENGTH]
 
     def remark(self, row: int, column: str, why: str, value: str | None = None) -> Remark:
         """Name a cell of a row (counted from 0) and what is wrong with it."""
@@ -155,7 +155,7 @@ class Table:
         spare = [name for name in self.names if name and name not in columns]
         names_and_hints = ", ".join(repr(name) + _close(name, spare) for name in missing[:SHOWN_MISSING])
         names_and_hints += f" and {len(missing) - SHOWN_MISSING} more" if len(missing) > SHOWN_MISSING else ""
-        present = listed([name or "''" for name in self.names])
+        present = name_list([name or "''" for name in self.names])
         raise MeasurementError(f"{self.title}: no column {names_and_hints}; there are: {present}. {advice}".rstrip())
 
 
@@ -167,7 +167,7 @@ def path_of(table: AnyTable) -> Path:
 def read_tables(
     tables: Sequence[AnyTable],
     spare: Collection[str] | None = (),
-    limit: Limit = TABLE,
+    limit: Limit = TABLE_LIMIT,
     dialect: Dialect = PLAIN,
     needed: Collection[str] | None = None,
 ) -> Table:
@@ -244,7 +244,7 @@ def check_ending(path: Path, dialect: Dialect = PLAIN) -> None:
     Raises:
         MeasurementError: naming the file.
     """
-    endings = (*ENDINGS, *OTHER_ENDINGS, *(robot_calibration.ENDINGS if dialect.export else ()))
+    endings = (*TABLE_ENDINGS, *OTHER_ENDINGS, *(robot_calibration.CALIBRATION_ENDINGS if dialect.export else ()))
     if path.is_file() and path.suffix.lower() not in endings:
         raise MeasurementError(
             f"{path}: should be a .csv or .parquet file, text ({' '.join(OTHER_ENDINGS[:3])} …) or .xlsx; save it as one of these"
@@ -253,7 +253,7 @@ def check_ending(path: Path, dialect: Dialect = PLAIN) -> None:
 
 def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, needed: Collection[str] | None) -> FileCells:
     """Read a file of text or a workbook; as plain csv in spite of the dialect only where the dialect fails."""
-    if dialect == PLAIN and path.suffix.lower() not in workbooks.ENDINGS:
+    if dialect == PLAIN and path.suffix.lower() not in workbooks.WORKBOOK_ENDINGS:
         return read_csv(content, path, limit)
     may_be_plain = needed is not None and path.suffix.lower() == ".csv" and _is_plain(content, needed)
     if may_be_plain and _is_utf8_instead(content, dialect.encoding):
@@ -261,7 +261,7 @@ def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, neede
     try:
         if dialect.export:
             return read_csv(robot_calibration.as_csv(content, path, dialect.sheet), path, limit)
-        cells = read_written(content, path, limit, dialect, needed is not None)
+        cells = read_in_dialect(content, path, limit, dialect, needed is not None)
     except MeasurementError:
         if may_be_plain:
             return read_csv(content, path, limit)

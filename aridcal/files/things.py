@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.engine.instruments.joined import GRASP
-from aridcal.engine.instruments.kind import Kind, Role
+from aridcal.engine.instruments.kind import MeasurementKind, Role
 from aridcal.engine.instruments.pose import TRACKER
 from aridcal.engine.instruments.setup import WORLD, Block, Instruments, Things, Tie
-from aridcal.files.campaign import Job
+from aridcal.files.campaign import JobSettings
 from aridcal.files.instrument_settings import (
     CONTRADICTION_SIGMAS,
     AnchorSettings,
@@ -26,15 +26,15 @@ from aridcal.files.instrument_settings import (
     PlaneSettings,
 )
 from aridcal.files.measurement_settings import BEYOND_REACH
-from aridcal.files.yaml_file import FINEST, LARGEST
-from aridcal.system.errors import CampaignError, MeasurementError, listed, nearest
-from aridcal.system.reading.regular_files import TABLE, Limit
+from aridcal.files.yaml_file import FINEST, LARGEST_SETTING
+from aridcal.system.errors import CampaignError, MeasurementError, name_list, nearest
+from aridcal.system.reading.regular_files import TABLE_LIMIT, Limit
 from aridcal.system.reading.user_names import check_name
 
-BOARD = "board_on_"
+BOARD_PREFIX = "board_on_"
 """A board is called after what carries it."""
 
-RESERVED = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+")
+RESERVED_NAMES = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+")
 """Places of corrections beside the joints: a thing of such a name could not be told from them."""
 
 UNDECLARED: dict[str, AnchorSettings | PlaneSettings] = {"anchor": AnchorSettings(), "plane": PlaneSettings()}
@@ -59,7 +59,7 @@ class KnownPlace:
     on: str = ""
 
 
-def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPlace]:
+def load_places(path: Path, key: str, limit: Limit = TABLE_LIMIT) -> dict[str, KnownPlace]:
     """Read ``points.csv`` or ``markers.csv``: columns ``point`` or ``marker``, x y z, and perhaps std; [m].
 
     Args:
@@ -87,9 +87,11 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
             raise MeasurementError(str(table.remark(row, key, why)))
         for name, value in zip(numbers, cells.tolist(), strict=True):
             exact = name == "std" and table.cell(row, name).strip() == ""
-            if not exact and not (abs(value) <= LARGEST and (name != "std" or value >= FINEST)):
+            if not exact and not (abs(value) <= LARGEST_SETTING and (name != "std" or value >= FINEST)):
                 what = "a positive number, or empty where the place is exact" if name == "std" else "a number"
-                raise MeasurementError(str(table.remark(row, name, f"should be {what}, not beyond {LARGEST:g}")))
+                raise MeasurementError(
+                    str(table.remark(row, name, f"should be {what}, not beyond {LARGEST_SETTING:g}"))
+                )
         std = float(cells[3]) if len(cells) > 3 and np.isfinite(cells[3]) else np.inf
         places[label] = KnownPlace(cells[:3], std, str(on[row]).strip())
     if np.median(np.linalg.norm(values[:, :3], axis=1)) > BEYOND_REACH:
@@ -100,7 +102,7 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
 
 
 @dataclass(frozen=True)
-class Known:
+class InstrumentDeclarations:
     """All that a campaign says of its instruments, its tables included.
 
     Attributes:
@@ -117,12 +119,12 @@ class Known:
 
     def board_of(self, camera: str, marker: str = "") -> str:
         """Name of the board of a marker that a camera looks at; without one, of markers that are in no table."""
-        return BOARD + (self.markers[marker].on if marker in self.markers else self.settings.sides[camera])
+        return BOARD_PREFIX + (self.markers[marker].on if marker in self.markers else self.settings.sides[camera])
 
     @cached_property
     def boards(self) -> dict[str, MarkerSettings]:
         """Boards whose markers are known, by their names."""
-        return {BOARD + carrier: board for carrier, board in self.settings.boards.items()}
+        return {BOARD_PREFIX + carrier: board for carrier, board in self.settings.boards.items()}
 
     def carrier(self, role: str, label: str) -> str:
         """Carrier of a thing: ``tip``, ``world`` or a link."""
@@ -130,7 +132,7 @@ class Known:
         if label in declared:
             return declared[label].on
         if role == "board":
-            return label.removeprefix(BOARD)
+            return label.removeprefix(BOARD_PREFIX)
         if role == GRASP.name:
             return ""  # links that its block names
         if role == "point":
@@ -167,7 +169,7 @@ class Known:
         return places[label].xyz.tolist(), 3 * [bool(np.isfinite(places[label].std))], places[label].std
 
 
-def known_of(campaign: Job) -> Known:
+def instrument_declarations(campaign: JobSettings) -> InstrumentDeclarations:
     """Read what a campaign says of its instruments, its tables of points and markers included.
 
     Raises:
@@ -182,11 +184,11 @@ def known_of(campaign: Job) -> Known:
             if label in markers:
                 raise MeasurementError(f"{board.file}: the marker {label!r} is on {markers[label].on}, too; rename one")
             markers[label] = replace(place, on=carrier)
-    return Known(settings, points, markers, str(campaign.path))
+    return InstrumentDeclarations(settings, points, markers, str(campaign.path))
 
 
 @dataclass(frozen=True)
-class Rows:
+class ThingReferences:
     """Things that the usable rows of a block refer to.
 
     Attributes:
@@ -194,7 +196,7 @@ class Rows:
         refers: Labels of the things, by the kind's roles, shape (n, 3).
     """
 
-    kind: Kind
+    kind: MeasurementKind
     refers: np.ndarray
 
     def labels(self, role: str) -> np.ndarray:
@@ -215,13 +217,13 @@ def with_trackers(
         joints: Names that no thing may have.
     """
     names = {*joints, *np.unique(refers).tolist()}
-    titles = [f"block {b.name}" if b.name in names or RESERVED.fullmatch(b.name) else b.name for b in blocks]
+    titles = [f"block {b.name}" if b.name in names or RESERVED_NAMES.fullmatch(b.name) else b.name for b in blocks]
     label = np.array([name if b.traits.tracked else "" for name, b in zip(titles, blocks, strict=True)])[block]
     return np.column_stack([np.where(label != "", label, refers[:, 0]), refers[:, 1:]])
 
 
 def instruments_of(
-    declarations: Known, blocks: Sequence[Rows], joints: Collection[str], complete: bool
+    declarations: InstrumentDeclarations, blocks: Sequence[ThingReferences], joints: Collection[str], complete: bool
 ) -> tuple[Instruments, list[str]]:
     """All things that rows refer to, and remarks on things of which the rows tell too little.
 
@@ -256,7 +258,7 @@ def instruments_of(
     return Instruments(things, ties, _in_world(declarations, blocks, things)), remarks
 
 
-def _boards_of_markers(blocks: Sequence[Rows]) -> dict[str, str]:
+def _boards_of_markers(blocks: Sequence[ThingReferences]) -> dict[str, str]:
     """Name of the board of each marker."""
     boards: dict[str, str] = {}
     for rows in blocks:
@@ -281,7 +283,7 @@ def _check_names(by_role: dict[str, tuple[str, ...]], joints: Collection[str]) -
                 what = "a joint"
             elif label in others:
                 what = "another thing"
-            elif RESERVED.fullmatch(label):
+            elif RESERVED_NAMES.fullmatch(label):
                 what = "a place of corrections"
             else:
                 continue
@@ -291,7 +293,11 @@ def _check_names(by_role: dict[str, tuple[str, ...]], joints: Collection[str]) -
 
 
 def _role_of(
-    declarations: Known, by_role: dict[str, tuple[str, ...]], key: str, pair: tuple[str, str], roles: Sequence[str]
+    declarations: InstrumentDeclarations,
+    by_role: dict[str, tuple[str, ...]],
+    key: str,
+    pair: tuple[str, str],
+    roles: Sequence[str],
 ) -> str:
     """Role of two things that are named together; empty if a known point is not among the rows, which then tell nothing."""
     having = [role for role in roles if set(pair) <= set(by_role.get(role, ()))]
@@ -316,7 +322,9 @@ def _role_of(
     return ""
 
 
-def _lengths(declarations: Known, by_role: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
+def _lengths(
+    declarations: InstrumentDeclarations, by_role: dict[str, tuple[str, ...]], complete: bool
+) -> Iterator[Tie]:
     """Known lengths between things that rows refer to."""
     for number, length in enumerate(declarations.settings.lengths):
         key, (a, b) = f"lengths[{number}].between", length.between
@@ -327,7 +335,7 @@ def _lengths(declarations: Known, by_role: dict[str, tuple[str, ...]], complete:
                 yield Tie(role, a, b, "distance", length.length, length.std)
 
 
-def _check_against_places(declarations: Known, role: str, number: int, length: LengthSettings) -> None:
+def _check_against_places(declarations: InstrumentDeclarations, role: str, number: int, length: LengthSettings) -> None:
     """Refuse a length that the known places of its ends contradict."""
     places = {"point": declarations.points, "marker": declarations.markers}.get(role, {})
     ends = [places[label] for label in length.between if label in places]
@@ -341,7 +349,9 @@ def _check_against_places(declarations: Known, role: str, number: int, length: L
             )
 
 
-def _right_angles(declarations: Known, by_role: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
+def _right_angles(
+    declarations: InstrumentDeclarations, by_role: dict[str, tuple[str, ...]], complete: bool
+) -> Iterator[Tie]:
     """Right angles between planes that rows refer to."""
     for number, angle in enumerate(declarations.settings.perpendicular):
         a, b = angle.between
@@ -351,7 +361,7 @@ def _right_angles(declarations: Known, by_role: dict[str, tuple[str, ...]], comp
 
 
 def _too_few(
-    blocks: Sequence[Rows], things: dict[str, Things], counts: dict[str, Counter[str]], ties: Sequence[Tie]
+    blocks: Sequence[ThingReferences], things: dict[str, Things], counts: dict[str, Counter[str]], ties: Sequence[Tie]
 ) -> Iterator[str]:
     """Remarks on things with no more rows than their own unknowns need."""
     numbers = {role.name: sum(c.size for c in rows.kind.channels) for rows in blocks for role in rows.kind.roles}
@@ -365,11 +375,11 @@ def _too_few(
         ]
         if few:
             yield (
-                f"{name} {listed(few)}: with so few rows they tell where it is, and nothing of the arm; measure more of them"
+                f"{name} {name_list(few)}: with so few rows they tell where it is, and nothing of the arm; measure more of them"
             )
 
 
-def _unreferred(declarations: Known, by_role: dict[str, tuple[str, ...]]) -> Iterator[str]:
+def _unreferred(declarations: InstrumentDeclarations, by_role: dict[str, tuple[str, ...]]) -> Iterator[str]:
     """Remarks on things that the campaign names and no row refers to; of a board not all markers need be seen."""
     of_role: dict[str, Mapping[str, object]] = {"point": declarations.points, **declarations.settings.declared}
     if "marker" not in by_role:
@@ -377,10 +387,12 @@ def _unreferred(declarations: Known, by_role: dict[str, tuple[str, ...]]) -> Ite
     for role, labels in of_role.items():
         absent = sorted(set(labels) - set(by_role.get(role, ())))
         if absent:
-            yield f"{role} {listed(absent)}: no row refers to it; it is not used"
+            yield f"{role} {name_list(absent)}: no row refers to it; it is not used"
 
 
-def _in_world(declarations: Known, blocks: Sequence[Rows], things: dict[str, Things]) -> bool:
+def _in_world(
+    declarations: InstrumentDeclarations, blocks: Sequence[ThingReferences], things: dict[str, Things]
+) -> bool:
     """True where anything is known in the world frame, or was measured in it."""
     if any(rows.kind.tracked for rows in blocks):
         return True

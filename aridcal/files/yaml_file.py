@@ -23,10 +23,10 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from aridcal.system.errors import AridcalError, CampaignError, nearest, printable, shortened
-from aridcal.system.reading.regular_files import IMAGE, SETTINGS, TABLE, URDF, Limit, not_utf8, read_file
+from aridcal.system.reading.regular_files import IMAGE, SETTINGS, TABLE_LIMIT, URDF, Limit, not_utf8, read_file
 from aridcal.system.reading.user_names import check_path
 
-MAX_DEPTH = 50
+MAX_YAML_DEPTH = 50
 
 MAX_NODES = 200_000
 """Keys and values: more than a calibration of three thousand coefficients has; they are read within a second."""
@@ -42,13 +42,13 @@ MOST_DIGITS = 70
 LARGEST_NUMBER = 1e15
 """Largest number with a fraction, a time in microseconds for instance: its square and its products are numbers, too."""
 
-LARGEST = 1e9
+LARGEST_SETTING = 1e9
 """[m], [rad], [px]: no place, angle or image is larger."""
 
 FINEST = 1e-12
 """[m], [rad], [px]: no length and no sigma is smaller; these could not be divided by."""
 
-TEXT = "tag:yaml.org,2002:str"
+TEXT_TAG = "tag:yaml.org,2002:str"
 
 Location = tuple[str | int, ...]
 
@@ -91,9 +91,9 @@ def _path(name: Any, info: ValidationInfo) -> Any:
 # A path that is relative to the settings file that names it; already resolved on the loaded model.
 RelativePath = Annotated[Path, BeforeValidator(_path)]
 
-Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Number = Annotated[float, Field(ge=-LARGEST_SETTING, le=LARGEST_SETTING)]
 
-Positive = Annotated[float, Field(ge=FINEST, le=LARGEST)]
+Positive = Annotated[float, Field(ge=FINEST, le=LARGEST_SETTING)]
 """A length, a focal length or a sigma."""
 
 Vector3 = tuple[Number, Number, Number]
@@ -121,7 +121,7 @@ class Limits(Section):
 
     urdf_mb: float = Field(default=URDF.megabytes, gt=0, le=1e6)
     """Megabytes of a URDF, also as xacro expands it."""
-    table_mb: float = Field(default=TABLE.megabytes, gt=0, le=1e6)
+    table_mb: float = Field(default=TABLE_LIMIT.megabytes, gt=0, le=1e6)
     """Megabytes of a table as a file, and of its cells in memory, eight bytes each."""
     image_mb: float = Field(default=IMAGE.megabytes, gt=0, le=1e6)
     """Megabytes of an image."""
@@ -136,7 +136,7 @@ class Limits(Section):
     @property
     def table(self) -> Limit:
         """Limit of a table."""
-        return Limit(self.table_mb, TABLE.key)
+        return Limit(self.table_mb, TABLE_LIMIT.key)
 
     @property
     def image(self) -> Limit:
@@ -297,8 +297,8 @@ def _refuse_tricks(text: str, path: Path) -> None:
             trick = f"the alias *{shortened(anchor)} is refused; write the value out"
         elif tag := getattr(event, "tag", None):
             trick = f"the tag {shortened(tag)} is refused; write plain values"
-        elif depth > MAX_DEPTH:
-            trick = f"is nested more than {MAX_DEPTH} deep; write plain keys and values"
+        elif depth > MAX_YAML_DEPTH:
+            trick = f"is nested more than {MAX_YAML_DEPTH} deep; write plain keys and values"
         elif number > MAX_NODES:
             trick = f"has more than {MAX_NODES:,} keys and values; name another file"
         else:
@@ -321,8 +321,8 @@ def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Lo
             if not isinstance(key, yaml.ScalarNode):
                 raise CampaignError(f"{where}: a key must be a plain word; write `key: value`")
             if key.value == "on":  # a key of cameras and markers, which YAML 1.1 takes for a truth
-                key.tag = TEXT
-            if key.tag != TEXT:
+                key.tag = TEXT_TAG
+            if key.tag != TEXT_TAG:
                 kind, name = key.tag.rpartition(":")[2], _dotted((*location, key.value))
                 raise CampaignError(f"{where}: {name}: YAML reads this key as a {kind}; put it in quotes")
             if key.value in keys:

@@ -12,31 +12,37 @@ from pathlib import Path
 import numpy as np
 
 from aridcal import __version__
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.iso9283 import STANDARD
 from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE
 from aridcal.files.purposes import About
-from aridcal.jobs.calibrate.instrument_results import known_scale
-from aridcal.jobs.calibrate.key_figures import another_day, constants, every_held_out_row, scored, sigma_and_error
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma
+from aridcal.jobs.calibrate.key_figures import (
+    constants,
+    every_held_out_row,
+    scored,
+    sigma_and_error,
+    verification_agreement,
+)
 from aridcal.jobs.calibrate.outcome import Outcome, errors
-from aridcal.jobs.calibrate.saving import ends, holes, seen_in
+from aridcal.jobs.calibrate.saving import ends, fitted_values, holes
 from aridcal.jobs.calibrate.verdict import VERDICTS
-from aridcal.pages.drawing.html import attempt, note, noting
+from aridcal.pages.drawing.html import attempt, collect_notices, note
 from aridcal.pages.drawing.one_page import OnePage, Part, as_html, as_pdf
 from aridcal.pages.drawing.words import (
-    LONGEST_NAME,
-    NOT_STATED,
-    named,
+    LONGEST_SHOWN_NAME,
+    NOT_STATED_WORDS,
+    certificate_subject,
     noise_unknown_in_words,
+    printable_name,
     scale_in_words,
-    who_and_what,
 )
-from aridcal.pages.report.iso_section import lines, what_was_made
+from aridcal.pages.report.iso_section import cycles_in_words, lines
 from aridcal.system.errors import printable, shortened
-from aridcal.system.wording import counted, number, range_in_words
+from aridcal.system.wording import number, plural, range_in_words
 
-FILES = ("certificate.html", "certificate.pdf")
+CERTIFICATE_FILES = ("certificate.html", "certificate.pdf")
 
 OWN = (
     "Computed by aridcal {} from measurements of those who are named below. It is not issued by an accredited laboratory, and is "
@@ -46,7 +52,7 @@ OWN = (
 COVERAGE = 2.0
 """Coverage factor k: for normal noise 95 % of one direction's errors are within two standard deviations."""
 
-MOST_JOINTS = 24
+MOST_LISTED_JOINTS = 24
 """Joints whose ranges are stated; an arm has seven."""
 
 MOST_COVARIATES, MOST_GAPS = 8, 8
@@ -66,7 +72,7 @@ MOST_CHANNELS = 8
 
 MODELS = "Before: the nominal URDF with only the unknown frames fitted. After: the calibrated model."
 
-LIMITS = (
+LIMITS_SENTENCE = (
     "Outside these ranges the model extrapolates. It holds for the robot as it was measured: not after a collision, a change of "
     "motor, gear or encoder, nor for loads and temperatures that were not measured."
 )
@@ -89,7 +95,7 @@ def write_certificate(outcome: Outcome, folder: Path, issued: datetime.date) -> 
     about = outcome.campaign.about
     if about is None:
         return ()
-    with noting() as notices:
+    with collect_notices() as notices:
         texts = attempt("the certificate", lambda: _drawn(certificate(outcome, about, folder, issued)), lambda _: {})
     for name, content in texts.items():
         (folder / name).write_bytes(content)
@@ -105,7 +111,7 @@ def _drawn(page: OnePage) -> dict[str, bytes]:
             f"certificate.pdf: no font of this computer has {shortened(lacking, MOST_LACKING)}: boxes stand there. Install a "
             "font that has them (Noto Sans CJK, for instance), or use certificate.html"
         )
-    return dict(zip(FILES, (html, content), strict=True))
+    return dict(zip(CERTIFICATE_FILES, (html, content), strict=True))
 
 
 def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.date) -> OnePage:
@@ -137,7 +143,7 @@ def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.d
             Part("Robot and measurement", facts=list(_facts(outcome, about))),
             _errors(outcome, judged),
             Part("Uncertainty of the calibrated target", words=[_uncertainty(outcome, target)]),
-            Part("Where it is valid", facts=list(_validity(outcome)), words=[LIMITS]),
+            Part("Where it is valid", facts=list(_validity(outcome)), words=[LIMITS_SENTENCE]),
             *_iso(outcome),
             Part("Files", table=[("file", "sha256"), *_hashes(outcome, folder)]),
         ],
@@ -176,7 +182,7 @@ def _judged(outcome: Outcome) -> list[_Judged]:
                 errors(outcome.stage(name).residual, own, outcome.channels)[channel.key]
                 for name in ("nominal", "final")
             )
-            noun = named(f"{channel.noun[0].upper()}{channel.noun[1:]}")
+            noun = printable_name(f"{channel.noun[0].upper()}{channel.noun[1:]}")
             scores.append(_Judged(noun, channel.shown, int(own.sum()), first, last))
     return scores[:MOST_CHANNELS]
 
@@ -184,14 +190,14 @@ def _judged(outcome: Outcome) -> list[_Judged]:
 def _facts(outcome: Outcome, about: About) -> Iterator[tuple[str, str]]:
     """Who measured what, when and how."""
     m, robot = outcome.measurements, outcome.robot
-    yield from who_and_what(about, robot, m)
+    yield from certificate_subject(about, robot, m)
     temperatures = _some(list(_temperatures(m)), MOST_COVARIATES)
-    yield "Environment", "; ".join(filter(None, (about.environment, temperatures))) or NOT_STATED
-    used = f"{counted(len(m), 'row')} of {', '.join(kinds_in_words(m))}, {m.test.sum():,} of them held out"
-    sought = "" if outcome.diagnosis is None else f" and {counted(len(outcome.effects), 'effect')}"
+    yield "Environment", "; ".join(filter(None, (about.environment, temperatures))) or NOT_STATED_WORDS
+    used = f"{plural(len(m), 'row')} of {', '.join(kinds_in_words(m))}, {m.test.sum():,} of them held out"
+    sought = "" if outcome.diagnosis is None else f" and {plural(len(outcome.effects), 'effect')}"
     corrections = sum(p["status"] == "identified" for p in constants(outcome))
-    fitted = f"{counted(corrections, 'geometric correction')}{sought} by least squares"
-    chain = f"{named(robot.base)} to {named(robot.tip)}"
+    fitted = f"{plural(corrections, 'geometric correction')}{sought} by least squares"
+    chain = f"{printable_name(robot.base)} to {printable_name(robot.tip)}"
     stated = f"{about.method.rstrip('.')}. " if about.method else ""
     yield "Method", f"{stated}{used}; {chain}; {fitted}."
     if about.notes:
@@ -202,7 +208,7 @@ def kinds_in_words(m: Dataset) -> list[str]:
     """What the rows measure, each once."""
     if m.direct:
         return ["poses" if m.sees_turns else "positions"]
-    return list(dict.fromkeys(KINDS[block.kind].words for block in m.blocks))
+    return list(dict.fromkeys(MEASUREMENT_KINDS[block.kind].words for block in m.blocks))
 
 
 def _temperatures(m: Dataset) -> Iterator[str]:
@@ -210,7 +216,7 @@ def _temperatures(m: Dataset) -> Iterator[str]:
     for name, values in m.covariates.items():
         if name.startswith("temperature") and np.isfinite(values).any():
             low, high = ends(values)
-            yield f"{named(name)} {number(low)} to {number(high)} °C in the rows"
+            yield f"{printable_name(name)} {number(low)} to {number(high)} °C in the rows"
 
 
 def _errors(outcome: Outcome, judged: Sequence[_Judged]) -> Part:
@@ -228,7 +234,7 @@ def _errors(outcome: Outcome, judged: Sequence[_Judged]) -> Part:
         said.append(f"{every_held_out_row(outcome)}.")
     else:
         said.append("No rows were held out: these are errors of the fit itself, and too optimistic.")
-    verified = another_day(outcome)
+    verified = verification_agreement(outcome)
     if verified is not None:
         said.append(shortened(printable(verified[1]), LONGEST_SENTENCE))
     return Part(f"Errors before and after, on {rows}", table=table, words=[" ".join(said), *_reasons(outcome)])
@@ -266,7 +272,7 @@ def _known(outcome: Outcome) -> _Known | None:
     precision = outcome.precision
     certainty = outcome.certainty
     if (
-        known_scale(outcome.measurements) in (None, math.inf)
+        known_scale_sigma(outcome.measurements) in (None, math.inf)
         or not np.isfinite(precision.position).all()
         or not certainty
     ):
@@ -281,7 +287,7 @@ def _tolerances(outcome: Outcome) -> Iterator[tuple[str, str]]:
     if certainty is None:
         return
     sure = f"in {100 * SHARE:.0f} % of {certainty.title}, with {100 * CONFIDENCE:.0f} % confidence"
-    for part in certainty.kept:
+    for part in certainty.tolerances:
         if part.tolerance is not None:
             unit = "mrad" if part.of == "rotation" else "mm"
             answer = "kept" if part.within else "cannot be said to be kept"
@@ -320,16 +326,16 @@ def _uncertainty(outcome: Outcome, target: _Known | None) -> str:
 
 def _validity(outcome: Outcome) -> Iterator[tuple[str, str]]:
     """Ranges of all that predictions depend on, and the gaps in them."""
-    robot, ranges = outcome.robot, seen_in(outcome)
+    robot, ranges = outcome.robot, fitted_values(outcome)
     kinds = dict(zip(robot.readings, robot.kinds, strict=True))
-    joints = [f"{named(name)} {range_in_words(ends(ranges[name]), kinds[name])}" for name in robot.readings]
-    yield "Joints", _some(joints, MOST_JOINTS)
+    joints = [f"{printable_name(name)} {range_in_words(ends(ranges[name]), kinds[name])}" for name in robot.readings]
+    yield "Joints", _some(joints, MOST_LISTED_JOINTS)
     others = [(name, *ends(values)) for name, values in ranges.items() if name not in kinds]
     if others:
-        shown = [f"{named(name)} {number(low)} to {number(high)}" for name, low, high in others]
+        shown = [f"{printable_name(name)} {number(low)} to {number(high)}" for name, low, high in others]
         yield "Other quantities", _some(shown, MOST_COVARIATES)
     gaps = [
-        f"{named(name)} {range_in_words(gap, kinds[name]) if name in kinds else ' to '.join(map(number, gap))}"
+        f"{printable_name(name)} {range_in_words(gap, kinds[name]) if name in kinds else ' to '.join(map(number, gap))}"
         for name, values in ranges.items()
         for gap in holes(values)
     ]
@@ -349,20 +355,20 @@ def _iso(outcome: Outcome) -> Iterator[Part]:
         yield Part(
             f"Figures by the definitions of {STANDARD}",
             table=[head, *lines(outcome.iso)],
-            words=[what_was_made(outcome.iso)],
+            words=[cycles_in_words(outcome.iso)],
         )
 
 
 def _hashes(outcome: Outcome, folder: Path) -> Iterator[tuple[str, str]]:
     """Files and their hashes, as ``sha256sum`` gives them."""
     campaign, m = outcome.campaign, outcome.measurements
-    yield named(campaign.path.name), sha256(_as_read(campaign.path, campaign.text))
+    yield printable_name(campaign.path.name), sha256(_as_read(campaign.path, campaign.text))
     source, plain = campaign.robot.urdf.name, outcome.robot.path.name
-    yield named(plain if source == plain else f"{source}, expanded"), sha256(outcome.robot.urdf)
+    yield printable_name(plain if source == plain else f"{source}, expanded"), sha256(outcome.robot.urdf)
     if m.origin.sha256:
         files = [path.name for path in m.origin.files]
-        one = named(files[0]) if len(files) == 1 else f"{len(files)} files of measurements: {', '.join(files)}"
-        yield shortened(printable(one), LONGEST_NAME) + _joined(m), m.origin.sha256
+        one = printable_name(files[0]) if len(files) == 1 else f"{len(files)} files of measurements: {', '.join(files)}"
+        yield shortened(printable(one), LONGEST_SHOWN_NAME) + _joined(m), m.origin.sha256
     for name in HASHED:
         yield name, sha256((folder / name).read_bytes())
 

@@ -11,12 +11,12 @@ from markupsafe import Markup
 from aridcal import __version__
 from aridcal.jobs.history.comparison import Comparison, constants, lines, p_in_words, worst
 from aridcal.pages.drawing.figures import histogram
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
-from aridcal.pages.report.page import drawn
-from aridcal.system.wording import number, plus_minus, reading_in_words, shown_in
+from aridcal.pages.drawing.page_frame import framed_page, sections
+from aridcal.pages.report.page import draw_section
+from aridcal.system.wording import number, plus_minus, reading_in_words, shown_unit
 
-MOST_LISTED = 40
+MOST_LISTED_COEFFICIENTS = 40
 """Coefficients that the page lists; `compare.json` has all."""
 
 
@@ -40,7 +40,7 @@ def compare_page(comparison: Comparison, names: tuple[str, str]) -> Markup:
         tag("h1", "Changed" if comparison.changed else "Nothing changed beyond the uncertainty"),
         bullets([verdict, *others]),
     ]
-    parts = sections([(name, drawn(name, content)) for name, content in chapters])
+    parts = sections([(name, draw_section(name, content)) for name, content in chapters])
     return framed_page(f"{names[0]} and {names[1]} compared", head, parts, f"aridcal {__version__}")
 
 
@@ -65,9 +65,9 @@ def _poses(comparison: Comparison) -> Iterator[Content]:
 def _causes(comparison: Comparison) -> Iterator[Content]:
     """The causes, by coefficient."""
     rows: list[list[Content]] = []
-    for c in comparison.causes.found:
+    for c in comparison.causes.changes:
         for k, name in enumerate(c.names):
-            unit, scale = shown_in(c.units[k])
+            unit, scale = shown_unit(c.units[k])
             rows.append(
                 [
                     c.words if k == 0 else "",
@@ -100,13 +100,13 @@ def _constants(comparison: Comparison) -> Iterator[Content]:
         "These stand for one another where rows tell them only together: one change may show in several. The causes above "
         "are what remains when that is taken into account.",
     )
-    rows = [_coefficient(row) for row in every[:MOST_LISTED]]
-    which = "" if len(every) <= MOST_LISTED else f"; the {MOST_LISTED} surest of {len(every)}"
+    rows = [_coefficient(row) for row in every[:MOST_LISTED_COEFFICIENTS]]
+    which = "" if len(every) <= MOST_LISTED_COEFFICIENTS else f"; the {MOST_LISTED_COEFFICIENTS} surest of {len(every)}"
     yield table(["coefficient", "first", "second", "change", "unit", "p"], rows, f"Coefficients of both{which}")
 
 
 def _coefficient(row: dict[str, Any]) -> list[Content]:
-    unit, scale = shown_in(row["unit"])
+    unit, scale = shown_unit(row["unit"])
     numbers = [number(scale * row[key], 4) for key in ("before", "after")]
     return [
         tag("code", row["name"]),

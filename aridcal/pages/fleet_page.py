@@ -12,18 +12,18 @@ from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.jobs.calibrate.verdict import VERDICTS
-from aridcal.jobs.fleet.drifting import Drift, drifting
-from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, StandsOut, makes, standing_out
+from aridcal.jobs.fleet.drifts import Drift, drifting
+from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, OutlyingFigure, makes, outlying_robots
 from aridcal.jobs.fleet.row_figures import are_done, channels_of, error_of
 from aridcal.jobs.fleet.run_record import Row
 from aridcal.jobs.fleet.runs import FleetResults
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.drawing.figures import falling
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
-from aridcal.pages.fleet_sections import drawn
+from aridcal.pages.drawing.page_frame import framed_page, sections
+from aridcal.pages.fleet_sections import draw_section
 from aridcal.system.errors import shortened
-from aridcal.system.wording import counted, fixed, number, plus_minus, shown_in
+from aridcal.system.wording import fixed, number, plural, plus_minus, shown_unit
 
 MOST_NOTICES, MOST_WITHIN, MOST_NAMED = 30, 10, 3
 """Notices that are listed; constants shown that moved no more than chance has them move; robots named for one effect."""
@@ -48,13 +48,13 @@ def fleet_page(ran: FleetResults, title: str) -> Markup:
     ]
     if ran.failed or ran.remaining:
         chapters.insert(0, ("Not calibrated", lambda: _not_done(ran)))
-    heading = f"{len(done):,} of {counted(len({*ran.now, *ran.remaining}), 'robot')} calibrated"
+    heading = f"{len(done):,} of {plural(len({*ran.now, *ran.remaining}), 'robot')} calibrated"
     head = [
         tag("p", f"Fleet {title}", class_="about"),
         tag("h1", heading),
-        drawn("fleet.html", "Summary", lambda: _summary(done)),
+        draw_section("fleet.html", "Summary", lambda: _summary(done)),
     ]
-    parts = sections([(name, drawn("fleet.html", name, content)) for name, content in chapters])
+    parts = sections([(name, draw_section("fleet.html", name, content)) for name, content in chapters])
     foot = f"aridcal {__version__}; every figure is in fleet.parquet"
     return framed_page(f"{heading}: {title}", head, parts, foot)
 
@@ -67,7 +67,7 @@ def _summary(done: Sequence[Row]) -> Iterator[Content]:
         worst = max(own, key=lambda row: _rank(row, channel))
         yield tag(
             "p",
-            f"Half of {counted(len(own), 'robot')} are better than {_said(float(np.nanmedian(before)), channel)} RMS as built, "
+            f"Half of {plural(len(own), 'robot')} are better than {_said(float(np.nanmedian(before)), channel)} RMS as built, "
             f"and than {_said(float(np.nanmedian(after)), channel)} as calibrated, on held-out rows. The worst, ",
             _link(worst),
             f", is left with {_said(error_of(worst, 'final', channel), channel)}.",
@@ -103,7 +103,7 @@ def _errors(done: Sequence[Row]) -> Iterator[Content]:
             ("robot, worst first", f"RMS on held-out rows [{unit}]"),
             joined=False,
         )
-        pictures.append((f"{counted(len(own), 'robot')}: as built, and with constants and effects", picture))
+        pictures.append((f"{plural(len(own), 'robot')}: as built, and with constants and effects", picture))
     yield figures(pictures)
 
 
@@ -136,21 +136,21 @@ def _worst_first(done: Sequence[Row], channel: str) -> list[Row]:
 
 def _standing_out(rows: Sequence[Row]) -> Iterator[Content]:
     """Robots that are far from the others of their make."""
-    outliers, compared = standing_out(rows)
+    outliers, compared = outlying_robots(rows)
     if not compared:
         yield tag("p", f"Robots are set beside each other from {FEWEST_ROBOTS} of one make (one URDF) on.")
         return
     chance = f"{100 * FALSE_ALARMS:.0f} %"
     yield tag(
         "p",
-        f"Errors and constants of each robot were set beside the same of all robots of its make, {counted(compared, 'number')} "
+        f"Errors and constants of each robot were set beside the same of all robots of its make, {plural(compared, 'number')} "
         f"in all. Where all are alike but for normal scatter, any robot is named here in {chance} of fleets.",
     )
     alone = len(are_done(rows)) - sum(map(len, makes(rows)))
     if alone:
         yield tag(
             "p",
-            f"{counted(alone, 'robot')} of makes (URDFs) with fewer than {FEWEST_ROBOTS} robots {_were(alone)} not compared.",
+            f"{plural(alone, 'robot')} of makes (URDFs) with fewer than {FEWEST_ROBOTS} robots {_were(alone)} not compared.",
         )
     if not outliers:
         yield tag("p", "No robot stands out.")
@@ -169,12 +169,12 @@ def _were(count: int) -> str:
     return "was" if count == 1 else "were"
 
 
-def _values(out: StandsOut) -> tuple[str, str]:
+def _values(out: OutlyingFigure) -> tuple[str, str]:
     """A number of a robot, and the usual one, with their unit."""
     if not out.unit:
         channel = out.what.partition(" ")[2]
         return _said(out.value, channel), _said(out.usual, channel)
-    unit, times = shown_in(out.unit)
+    unit, times = shown_unit(out.unit)
     return f"{number(times * out.value)} {unit}", f"{plus_minus(times * out.usual, times * out.scatter)} {unit}"
 
 
@@ -191,17 +191,17 @@ def _drifting(ran: FleetResults) -> Iterator[Content]:
             "p", "No robot was measured twice yet. Once some are, their first and their last runs are compared here."
         )
         return
-    beyond = [drift for drift in drifts if drift.beyond]
+    beyond = [drift for drift in drifts if drift.significant]
     yield tag(
         "p",
-        f"Of {counted(robots, 'robot')} measured more than once the last run was set beside the first that told the same "
-        f"constants, {counted(len(drifts), 'constant')} in all: {len(beyond):,} moved by more than the noise has them move. Of "
+        f"Of {plural(robots, 'robot')} measured more than once the last run was set beside the first that told the same "
+        f"constants, {plural(len(drifts), 'constant')} in all: {len(beyond):,} moved by more than the noise has them move. Of "
         f"fleets in which nothing moves, at most {100 * FALSE_ALARMS:.0f} % have any constant said to move; the standard "
         "deviations know of noise alone, and an effect that a model lacks moves constants, too. ",
         tag("code", "aridcal history"),
         " follows every run, and says when a drift began.",
     )
-    shown = [*beyond, *[drift for drift in drifts if not drift.beyond][:MOST_WITHIN]]
+    shown = [*beyond, *[drift for drift in drifts if not drift.significant][:MOST_WITHIN]]
     if shown:
         head = ["robot", "constant", "", "first", "last", "change", "days", "σ of the change"]
         yield table(
@@ -210,10 +210,10 @@ def _drifting(ran: FleetResults) -> Iterator[Content]:
 
 
 def _drift(drift: Drift) -> list[Content]:
-    unit, times = shown_in(drift.unit)
+    unit, times = shown_unit(drift.unit)
     (x1, s1), (x2, s2) = drift.first, drift.last
     values = [plus_minus(times * x, times * s) for x, s in ((x1, s1), (x2, s2), (x2 - x1, math.hypot(s1, s2)))]
-    verdict: Content = tag("strong", "moved") if drift.beyond else "within chance"
+    verdict: Content = tag("strong", "moved") if drift.significant else "within chance"
     return [
         _name(drift.robot),
         drift.name,
@@ -251,7 +251,7 @@ def _effects(done: Sequence[Row]) -> Iterator[Content]:
 def _size(robots: Sequence[Sequence[Row]]) -> str:
     """Median over robots of the largest coefficient."""
     largest = [max(own, key=lambda c: abs(c["value"] or 0.0)) for own in robots]
-    unit, times = shown_in(largest[0]["unit"])
+    unit, times = shown_unit(largest[0]["unit"])
     return f"{number(times * float(np.median([abs(c['value'] or 0.0) for c in largest])), 2)} {unit}"
 
 
@@ -261,7 +261,7 @@ def _notices(done: Sequence[Row]) -> Iterator[Content]:
     if not count:
         yield tag("p", "No notices.")
         return
-    lines = [f"{notice} ({counted(times, 'robot')})" for notice, times in count.most_common()]
+    lines = [f"{notice} ({plural(times, 'robot')})" for notice, times in count.most_common()]
     yield bullets(lines, MOST_NOTICES, "notices of single robots, in their reports")
 
 

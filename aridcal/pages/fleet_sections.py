@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from aridcal.pages.drawing.html import Content, attempt, join, missing
 
 
-def drawn(page: str, title: str, content: Callable[[], Iterator[Content]]) -> list[Content]:
+def draw_section(page: str, title: str, content: Callable[[], Iterator[Content]]) -> list[Content]:
     """A section's content up to where it fails, and then a line that says so.
 
     Args:

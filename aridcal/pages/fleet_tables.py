@@ -8,14 +8,14 @@ from typing import Any
 
 import pandas as pd
 
-from aridcal.jobs.fleet.drifting import drifting
-from aridcal.jobs.fleet.outliers import StandsOut, standing_out
+from aridcal.jobs.fleet.drifts import drifting
+from aridcal.jobs.fleet.outliers import OutlyingFigure, outlying_robots
 from aridcal.jobs.fleet.row_figures import STAGES, are_done, channels_of, error_of
-from aridcal.jobs.fleet.run_record import SCHEMA, Row, typed
+from aridcal.jobs.fleet.run_record import RUN_SCHEMA, Row, typed
 from aridcal.jobs.fleet.runs import FleetResults
-from aridcal.jobs.fleet.study_figures import Estimate, Point, Scatter, found_again, points, scatters
-from aridcal.jobs.fleet.study_runs import SCHEMA as OF_RUNS
-from aridcal.jobs.fleet.study_runs import StudyResult
+from aridcal.jobs.fleet.study_figures import CaseFigures, ConstantScatter, Estimate, points, recurrent_effects, scatters
+from aridcal.jobs.fleet.study_records import STUDY_SCHEMA as OF_RUNS
+from aridcal.jobs.fleet.study_records import StudyResult
 
 ROBOT_COLUMNS = ("robot", "status", "measured", "rows", "verdict", "error")
 """Behind them stand the errors, RMS on held-out rows: ``final_position_mm`` for instance."""
@@ -43,20 +43,20 @@ def nested_table(ran: FleetResults, column: str) -> pd.DataFrame:
         column: ``effects`` or ``constants``, as in ``fleet.parquet``.
     """
     rows = [{"robot": row["robot"]} | entry for row in are_done(list(ran.now.values())) for entry in row[column]]
-    return pd.DataFrame(rows, columns=["robot", *(field.name for field in SCHEMA.field(column).type.value_type)])
+    return pd.DataFrame(rows, columns=["robot", *(field.name for field in RUN_SCHEMA.field(column).type.value_type)])
 
 
 def outstanding_table(ran: FleetResults) -> pd.DataFrame:
     """Numbers of robots that stand out of their make, the farthest first, [m] and [rad]."""
-    outliers, _ = standing_out(list(ran.now.values()))
-    return pd.DataFrame([asdict(out) for out in outliers], columns=_names(StandsOut))
+    outliers, _ = outlying_robots(list(ran.now.values()))
+    return pd.DataFrame([asdict(out) for out in outliers], columns=_names(OutlyingFigure))
 
 
 def drift_table(ran: FleetResults) -> pd.DataFrame:
     """Constants of the first run and the last one of each robot, [m] and [rad], worst first; ``beyond`` what chance gives."""
     drifts, _ = drifting([row for row in ran.rows if row["robot"] in ran.now])
     columns = ["robot", "name", "unit", "first", "first_std", "last", "last_std", "days", "times", "beyond"]
-    rows = [(d.robot, d.name, d.unit, *d.first, *d.last, d.days, d.times, d.beyond) for d in drifts]
+    rows = [(d.robot, d.name, d.unit, *d.first, *d.last, d.days, d.times, d.significant) for d in drifts]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -70,7 +70,7 @@ def case_table(done: StudyResult) -> pd.DataFrame:
     return pd.DataFrame([_case(point) for point in points(done.rows)])
 
 
-def _case(point: Point) -> Row:
+def _case(point: CaseFigures) -> Row:
     estimates = {name: getattr(point, name) for name in ("found", "named", "others", "final", "true")}
     row: Row = {name: getattr(point, name) for name in ("rows", "size", "runs", "failed")}
     for name, estimate in estimates.items():
@@ -78,15 +78,15 @@ def _case(point: Point) -> Row:
     return row
 
 
-def again_table(halves: Sequence[Row]) -> pd.DataFrame:
+def recurrent_table(halves: Sequence[Row]) -> pd.DataFrame:
     """Effects that runs on halves of a campaign's rows found, and the share of runs, most first."""
-    rows = [{"effect": label} | _estimate("share", share) for label, share in found_again(halves)]
+    rows = [{"effect": label} | _estimate("share", share) for label, share in recurrent_effects(halves)]
     return pd.DataFrame(rows, columns=["effect", *_estimate("share", None)])
 
 
 def scatter_table(halves: Sequence[Row]) -> pd.DataFrame:
     """How far constants scatter over halves of a campaign's rows, [m] and [rad], beside what each run states."""
-    return pd.DataFrame([asdict(s) for s in scatters(halves)], columns=_names(Scatter))
+    return pd.DataFrame([asdict(s) for s in scatters(halves)], columns=_names(ConstantScatter))
 
 
 def _estimate(name: str, estimate: Estimate | None) -> Row:

@@ -13,11 +13,11 @@ from aridcal.jobs.history.comparison import p_in_words
 from aridcal.jobs.history.trend import FEWEST_RUNS
 from aridcal.jobs.history.wear import DAY_ZERO, ConstantHistory, History, RobotHistory
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
-from aridcal.pages.drawing.timelines import Stretch, sparkline, timeline
-from aridcal.pages.report.page import drawn
-from aridcal.system.wording import counted, enumerated, number, plus_minus, shown_in
+from aridcal.pages.drawing.page_frame import framed_page, sections
+from aridcal.pages.drawing.timelines import TimeStretch, sparkline, timeline
+from aridcal.pages.report.page import draw_section
+from aridcal.system.wording import enumeration, number, plural, plus_minus, shown_unit
 
 MONTH = 365.25 / 12
 """Mean length of a month, [d]."""
@@ -28,7 +28,7 @@ MOST_PICTURED = 24
 MOST_PICTURED_CYCLES = 6
 """Constants that may go with the season that it draws."""
 
-MOST_LISTED = 200
+MOST_LISTED_ROBOTS = 200
 """Robots that the page lists."""
 
 MOST_CYCLES = 4
@@ -47,7 +47,7 @@ def change_in_words(w: ConstantHistory) -> str:
     """What changed, since when, by how much."""
     c = w.change
     assert c is not None
-    unit, scale = shown_in(w.unit)
+    unit, scale = shown_unit(w.unit)
     interval = f"{date(c.low)} to {date(c.high)}"
     sign = "+" if c.size > 0 else ""
     if c.kind == "drift":
@@ -85,7 +85,7 @@ def about(history: History) -> list[str]:
     alarmed = [robot for robot in history.robots if robot.alarms]
     runs = sum(len(robot.runs) for robot in history.robots)
     said = [
-        f"{counted(len(history.robots), 'robot')}, {counted(runs, 'run')}: {len(alarmed) or 'no'} "
+        f"{plural(len(history.robots), 'robot')}, {plural(runs, 'run')}: {len(alarmed) or 'no'} "
         f"{'robot' if len(alarmed) == 1 else 'robots'} with an alarm",
         f"of seasons in which nothing changes at most {FALSE_ALARMS:.0%} have an alarm anywhere among the {history.series:,} "
         "constants that were looked at, month by month; a yearly cycle is no alarm",
@@ -108,7 +108,7 @@ def about(history: History) -> list[str]:
     if wide:
         worst = max(wide, key=lambda name: wide[name])
         said.append(
-            f"{counted(len(wide), 'constant')} of the fleet scatter by more than their sigma, {worst} most, "
+            f"{plural(len(wide), 'constant')} of the fleet scatter by more than their sigma, {worst} most, "
             f"{number(wide[worst], 2)} times: alarms allow for it"
         )
     return said
@@ -116,7 +116,7 @@ def about(history: History) -> list[str]:
 
 def _some(names: list[str]) -> str:
     """Names, of many the first."""
-    return enumerated(names if len(names) <= 4 else [*names[:3], f"{len(names) - 3} more"])
+    return enumeration(names if len(names) <= 4 else [*names[:3], f"{len(names) - 3} more"])
 
 
 def robot_table(history: History) -> pd.DataFrame:
@@ -204,16 +204,14 @@ def history_page(history: History, title: str) -> Markup:
     """
     alarmed = [robot for robot in history.robots if robot.alarms]
     one = history.robots[0].name if len(history.robots) == 1 else None
-    heading = (
-        f"{one} over time" if one else f"{len(alarmed) or 'No'} of {counted(len(history.robots), 'robot')} changed"
-    )
+    heading = f"{one} over time" if one else f"{len(alarmed) or 'No'} of {plural(len(history.robots), 'robot')} changed"
     chapters = [
         ("What changed?", _alarms(history)),
         ("Every robot, the worst first", _robots(history)),
         ("How sure is this?", _about(history)),
     ]
     head = [tag("p", title, class_="about"), tag("h1", heading)]
-    parts = sections([(name, drawn(name, content)) for name, content in chapters])
+    parts = sections([(name, draw_section(name, content)) for name, content in chapters])
     return framed_page(f"{title}: {heading}", head, parts, f"aridcal {__version__}")
 
 
@@ -241,8 +239,8 @@ def _caption(w: ConstantHistory) -> Content:
 
 
 def _picture(w: ConstantHistory) -> Markup:
-    unit, scale = shown_in(w.unit)
-    stretches = [] if w.change is None else [Stretch(w.change.low, w.change.high, "when it began")]
+    unit, scale = shown_unit(w.unit)
+    stretches = [] if w.change is None else [TimeStretch(w.change.low, w.change.high, "when it began")]
     series = w.series
     alt = f"{w.name} of {w.robot} over time, with bars of two sigma"
     key = f"{w.robot}-{w.name}"
@@ -252,7 +250,7 @@ def _picture(w: ConstantHistory) -> Markup:
 def _robots(history: History) -> Iterator[Content]:
     """A line for each robot."""
     rows: list[list[Content]] = []
-    for robot in history.robots[:MOST_LISTED]:
+    for robot in history.robots[:MOST_LISTED_ROBOTS]:
         _, final = robot.error("final")
         words = ", ".join(f"{w.name}: {w.change.kind}" for w in robot.alarms if w.change)
         season = f"{_some([w.name for w in robot.cycles])}: perhaps the season" if robot.cycles and not words else ""
@@ -267,7 +265,7 @@ def _robots(history: History) -> Iterator[Content]:
                 sparkline(final, f"RMS error of {robot.name} after calibration, run by run"),
             ]
         )
-    more = f"; {MOST_LISTED} of {len(history.robots)}" if len(history.robots) > MOST_LISTED else ""
+    more = f"; {MOST_LISTED_ROBOTS} of {len(history.robots)}" if len(history.robots) > MOST_LISTED_ROBOTS else ""
     titles = ["robot", "changed", "runs", "last run", "RMS before", "RMS after", "RMS after, over time"]
     yield table(titles, rows, f"Errors on held-out rows of the last run, before and after calibration{more}", numbers=2)
 
@@ -283,7 +281,7 @@ def _about(history: History) -> Iterator[Content]:
     )
     yield tag(
         "p",
-        f"Read from {counted(len(history.files), 'table')}: ",
+        f"Read from {plural(len(history.files), 'table')}: ",
         ", ".join(history.files[:6]),
         " …" if len(history.files) > 6 else "",
     )

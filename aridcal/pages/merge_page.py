@@ -8,17 +8,17 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal import __version__
-from aridcal.jobs.merge.merging import MergeResult
+from aridcal.jobs.merge.log_rows import MergeResult
 from aridcal.jobs.merge.standstills import speeds
-from aridcal.pages.drawing.figures import AFTER, BEFORE, TICKS, WIDE, below, beside, drawn_or_missing
-from aridcal.pages.drawing.frame import framed_page, sections
+from aridcal.pages.drawing.figures import AFTER, BEFORE, TICKS, WIDE, drawn_or_missing, label_below, label_beside
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.page_frame import framed_page, sections
 from aridcal.pages.drawing.plot import (
     EDGE,
     GREY,
-    LINE,
+    LINE_HEIGHT,
     Area,
-    Named,
+    LegendEntry,
     Scale,
     clipped,
     dots,
@@ -34,21 +34,23 @@ from aridcal.pages.drawing.plot import (
 )
 from aridcal.system.wording import number
 
-STRETCHES = 3
+SPEED_PICTURES = 3
 """Pictures of the speeds: beginning, middle and end, for what is off at one end only is seen in no single picture."""
 
 LONGEST_STRETCH = 40.0
 """Seconds that a picture shows at most: a dozen moves."""
 
-POINTS = 1500
+MOST_LINE_POINTS = 1500
 """Most points of a line: a figure is 600 pixels wide."""
 
 HEIGHT, LANE = 210.0, 11.0
 """Height of a figure, and of one lane of standstills in it, in units of its `viewBox`."""
 
-OFF = "Measured minus nominal at each row, base and target fitted: the robot's errors, no error of this table"
+DEVIATION_CAPTION = (
+    "Measured minus nominal at each row, base and target fitted: the robot's errors, no error of this table"
+)
 
-PAIRED = (
+SPEED_CAPTION = (
     "Speeds of the nominal tip (joints) and of the measured target (tracker), both by the joints' clock. They need not be "
     "equal, for the target is not at the tip: they begin and end together. The bars below are standstills of each log and, "
     "between them, the windows whose samples make a row."
@@ -59,7 +61,7 @@ LATE = (
     "steps are a clock that was set, a bow is a clock that warms up."
 )
 
-MOST_LISTED = 40
+MOST_LISTED_STANDSTILLS = 40
 """Standstills without a row that the page lists."""
 
 
@@ -78,7 +80,7 @@ def merge_page(merged: MergeResult, names: tuple[str, str], out: Path) -> Markup
         bullets(lines(merged)),
     ]
     chapters: list[tuple[str, Content]] = [
-        ("What was paired", [tag("p", PAIRED), figures(_stretches(merged))]),
+        ("What was paired", [tag("p", SPEED_CAPTION), figures(_stretches(merged))]),
         (
             "How well the clocks are known",
             [
@@ -93,7 +95,7 @@ def merge_page(merged: MergeResult, names: tuple[str, str], out: Path) -> Markup
                 ),
             ],
         ),
-        ("Rows beside the nominal robot", figures([(OFF, _off("off", OFF, merged))])),
+        ("Rows beside the nominal robot", figures([(DEVIATION_CAPTION, _off("off", DEVIATION_CAPTION, merged))])),
         ("Standstills without a row", _unpaired(merged)),
     ]
     foot = f"aridcal {__version__} · clocks at {number(float(middle), 6)} s of the tracker's"
@@ -131,8 +133,8 @@ def _stretches(merged: MergeResult) -> list[tuple[Content, Markup]]:
     first, last = max(t[0], merged.joints.time[0]), min(t[-1], merged.joints.time[-1])
     each = min(LONGEST_STRETCH, last - first)
     count = (
-        STRETCHES
-        if last - first > STRETCHES * LONGEST_STRETCH
+        SPEED_PICTURES
+        if last - first > SPEED_PICTURES * LONGEST_STRETCH
         else max(1, int(np.ceil((last - first) / LONGEST_STRETCH)))
     )
     begins = np.linspace(first, last - each, count)
@@ -156,22 +158,22 @@ def _speeds(key: str, alt: str, merged: MergeResult, begin: float, end: float) -
     ]
     top = max((float(np.nanmax(v)) for _, v in curves if np.isfinite(v).any()), default=1.0)
     entries = [
-        Named("joints (nominal tip)", AFTER, "line"),
-        Named("tracker", BEFORE, "line"),
-        Named("row", GREY, "box"),
+        LegendEntry("joints (nominal tip)", AFTER, "line"),
+        LegendEntry("tracker", BEFORE, "line"),
+        LegendEntry("row", GREY, "box"),
     ]
     y = Scale(0.0, 1.05 * max(top, 1e-9))
-    left = 2 * LINE + room_for(y, TICKS[1]) - 8
+    left = 2 * LINE_HEIGHT + room_for(y, TICKS[1]) - 8
     head, high = legend(entries, left, WIDE)
     area = Area(left, high + 4, WIDE - left - 8, HEIGHT - high - 42, Scale(begin, end), y)
-    parts = [head, frame(area, TICKS), beside(area, "speed [m/s]")]
+    parts = [head, frame(area, TICKS), label_beside(area, "speed [m/s]")]
     inside = [line(area, x, v, color, 1.4) for (x, v), color in zip(curves, (AFTER, BEFORE), strict=True)]
     parts.append(clipped(key, area, "".join(inside)))
     tracked = merged.tracked
     foot = area.bottom + 18
     lanes = [
         (merged.still.begin, merged.still.end, AFTER),
-        (clocks.joints(merged.found.begin), clocks.joints(merged.found.end), GREY),
+        (clocks.joints(merged.pairs.begin), clocks.joints(merged.pairs.end), GREY),
         (clocks.joints(tracked.begin), clocks.joints(tracked.end), BEFORE),
     ]
     for k, (a, b, color) in enumerate(lanes):
@@ -188,7 +190,7 @@ def _speeds(key: str, alt: str, merged: MergeResult, begin: float, end: float) -
 def _thinned(t: np.ndarray, v: np.ndarray, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
     """A curve in a stretch of time, of not too many points."""
     rows = np.flatnonzero((t >= begin) & (t <= end))
-    rows = rows[:: max(1, len(rows) // POINTS)]
+    rows = rows[:: max(1, len(rows) // MOST_LINE_POINTS)]
     return t[rows], v[rows]
 
 
@@ -196,12 +198,12 @@ def _points(key: str, alt: str, x: np.ndarray, y: np.ndarray, label: str, zero: 
     """Values over the time of the joints' clock."""
     ends = scale(np.r_[y, -y] if zero else np.r_[y, 0.0], 0.08)
     ends = ends if zero else Scale(0.0, ends.high)
-    left = 2 * LINE + room_for(ends, TICKS[1]) - 8
+    left = 2 * LINE_HEIGHT + room_for(ends, TICKS[1]) - 8
     area = Area(left, 8.0, WIDE - left - 8, HEIGHT - 60, scale(x, 0.03), ends)
     inside = dots(area, x, y, AFTER, 3.2, 0.8) + (level(area, 0.0, EDGE) if zero else "")
     return whole(
         alt, WIDE, area.bottom + 34,
-        [frame(area, TICKS), below(area, "joints' clock [s]"), beside(area, label), clipped(key, area, inside)],
+        [frame(area, TICKS), label_below(area, "joints' clock [s]"), label_beside(area, label), clipped(key, area, inside)],
         "plot wide",
     )  # fmt: skip
 
@@ -224,6 +226,12 @@ def _unpaired(merged: MergeResult) -> Content:
     """A table of what makes no row."""
     if not merged.unpaired:
         return tag("p", "None: every standstill of each log is one of the other.")
-    rows = [[one.log, f"{one.begin:.3f}", f"{one.end:.3f}", one.why] for one in merged.unpaired[:MOST_LISTED]]
-    more = "" if len(merged.unpaired) <= MOST_LISTED else f"; the first {MOST_LISTED} of {len(merged.unpaired)}"
+    rows = [
+        [one.log, f"{one.begin:.3f}", f"{one.end:.3f}", one.why] for one in merged.unpaired[:MOST_LISTED_STANDSTILLS]
+    ]
+    more = (
+        ""
+        if len(merged.unpaired) <= MOST_LISTED_STANDSTILLS
+        else f"; the first {MOST_LISTED_STANDSTILLS} of {len(merged.unpaired)}"
+    )
     return table(["log", "from [s]", "to [s]", "why"], rows, f"By each log's own clock{more}", numbers=4)

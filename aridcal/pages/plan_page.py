@@ -15,9 +15,9 @@ from aridcal.jobs.plan.plan_coverage import Sigma
 from aridcal.jobs.plan.pose_design import Plan
 from aridcal.pages.drawing.fields import color_steps, field
 from aridcal.pages.drawing.figures import coverage, falling
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
-from aridcal.system.wording import counted, number, range_in_words, reading_in_words
+from aridcal.pages.drawing.page_frame import framed_page, sections
+from aridcal.system.wording import number, plural, range_in_words, reading_in_words
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}
 """Two planes in which targets are shown: numbers of their axes."""
@@ -34,7 +34,7 @@ INDICES = (
 LEAST_TIMES_USUAL_LOSS = 2.0
 """A configuration that matters to a suspect so many times as much as the mean one is named for it."""
 
-MOST_NAMED = 3
+MOST_NAMED_SUSPECTS = 3
 """Suspects named for one configuration, those first to which it matters most."""
 
 
@@ -47,7 +47,7 @@ def plan_page(plan: Plan, robot: Robot, title: str) -> Markup:
         title: What the plan is for.
     """
     n = len(plan.readings)
-    heading = f"{counted(n, 'configuration')} to measure"
+    heading = f"{plural(n, 'configuration')} to measure"
     chapters = [
         ("How many?", _how_many(plan)),
         ("Where?", _where(plan, robot)),
@@ -78,7 +78,7 @@ def _summary(plan: Plan) -> Iterator[Content]:
             "prediction, not a promise.",
         )
     if plan.measured:
-        yield tag("p", f"They add to {counted(plan.measured, 'row')} measured before.")
+        yield tag("p", f"They add to {plural(plan.measured, 'row')} measured before.")
     if plan.notices:
         yield bullets(plan.notices)
 
@@ -139,7 +139,7 @@ def _where(plan: Plan, robot: Robot) -> Iterator[Content]:
     drawn.append(("Planned readings of each joint between its limits", shares))
     yield figures(drawn)
     rows = [
-        [j.name, range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind), f"{100 * j.measured:.0f} %"]
+        [j.name, range_in_words(j.limits, j.kind), range_in_words(j.range, j.kind), f"{100 * j.measured:.0f} %"]
         for j in ranges
     ]
     head = ["joint", "limits", "planned", "share covered, of a turn at most"]
@@ -162,7 +162,7 @@ def _telling(plan: Plan) -> Iterator[Content]:
         return
     lines: list[list[Content]] = []
     for name, loss in zip(coverage.suspects, coverage.loss.T, strict=True):
-        best = np.argsort(-loss, kind="stable")[:MOST_NAMED]
+        best = np.argsort(-loss, kind="stable")[:MOST_NAMED_SUSPECTS]
         words = ", ".join(f"{k + 1} ({_percent(loss[k])})" for k in best.tolist())
         lines.append([name, words])
     caption = (
@@ -188,7 +188,9 @@ def _one_by_one(plan: Plan, robot: Robot) -> Iterator[Content]:
         joints = [reading_in_words(v, kind) for v, kind in zip(reading.tolist(), robot.kinds, strict=True)]
         loss = coverage.loss[k]
         telling = [
-            i for i in np.argsort(-loss, kind="stable")[:MOST_NAMED] if loss[i] > LEAST_TIMES_USUAL_LOSS * usual[i]
+            i
+            for i in np.argsort(-loss, kind="stable")[:MOST_NAMED_SUSPECTS]
+            if loss[i] > LEAST_TIMES_USUAL_LOSS * usual[i]
         ]
         words = ", ".join(f"{coverage.suspects[i]} ({_percent(loss[i])})" for i in telling)
         way = ["a point before it" if plan.by_way[k] else "straight"] if plan.directions else []

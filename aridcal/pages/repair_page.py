@@ -13,23 +13,23 @@ from aridcal.engine.instruments.channels import Channel, norms
 from aridcal.jobs.calibrate.controllers import ControllerExports
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.maintain.checking import CheckResult
-from aridcal.jobs.maintain.outcomes import RepairOutcomes
-from aridcal.jobs.maintain.repair import Change, Repaired
-from aridcal.pages.drawing.frame import Section, card, empty_page, framed_page
-from aridcal.pages.drawing.html import Content, attempt, bullets, noting, table, tag
+from aridcal.jobs.maintain.repair import Repair, RepairChange
+from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes
+from aridcal.pages.drawing.html import Content, attempt, bullets, collect_notices, table, tag
+from aridcal.pages.drawing.page_frame import Section, card, empty_page, framed_page
 from aridcal.pages.report.identified_section import identified
 from aridcal.pages.report.limits_section import use
-from aridcal.pages.report.page import drawn, foot
-from aridcal.system.wording import counted, number, plus_minus, shown_in
+from aridcal.pages.report.page import draw_section, foot
+from aridcal.system.wording import number, plural, plus_minus, shown_unit
 
-MOST_ROWS = 40
+MOST_LISTED_ROWS = 40
 """New rows that the page lists; of more the worst."""
 
 
 def write_repair_report(
     repair: RepairOutcomes,
     checked: CheckResult,
-    mended: Repaired,
+    mended: Repair,
     lineage: dict[str, Any],
     lines: list[str],
     handover: ControllerExports,
@@ -49,7 +49,7 @@ def write_repair_report(
     Returns:
         Notices: what could not be drawn, and why.
     """
-    with noting() as notices:
+    with collect_notices() as notices:
         text = attempt(
             "report.html",
             lambda: _page(repair, checked, mended, lineage, lines, handover),
@@ -62,7 +62,7 @@ def write_repair_report(
 def _page(
     repair: RepairOutcomes,
     checked: CheckResult,
-    mended: Repaired,
+    mended: Repair,
     lineage: dict[str, Any],
     lines: list[str],
     handover: ControllerExports,
@@ -76,17 +76,17 @@ def _page(
         ("lineage", "5. Where does it come from?", _lineage(lineage)),
     ]
     m = repair.rows.measurements
-    head = drawn("Summary", _summary(repair, checked, mended))
-    parts = [Section(title, drawn(title, content), key) for key, title, content in chapters]
+    head = draw_section("Summary", _summary(repair, checked, mended))
+    parts = [Section(title, draw_section(title, content), key) for key, title, content in chapters]
     return framed_page(f"Repair of {repair.rows.robot.tree.name}", head, parts, foot(m))
 
 
-def _summary(repair: RepairOutcomes, checked: CheckResult, mended: Repaired) -> Iterator[Content]:
+def _summary(repair: RepairOutcomes, checked: CheckResult, mended: Repair) -> Iterator[Content]:
     """The first screen: how far off before, how far now, and what moved."""
     m, robot = repair.rows.measurements, repair.rows.robot
     names = ", ".join(path.name for path in m.origin.files)
     yield tag("h1", f"Repair of {robot.tree.name}")
-    yield tag("p", f"{names} · {counted(len(m), 'new row')} · {robot.path.name}, {robot.from_to}", class_="about")
+    yield tag("p", f"{names} · {plural(len(m), 'new row')} · {robot.path.name}, {robot.from_to}", class_="about")
     channels = [k for k, channel in enumerate(m.channels) if m.measures[:, k].any() and not channel.inner]
     yield tag("div", [_card(repair, k) for k in channels], class_="cards")
     moved = [change.cause.words for change in mended.changes]
@@ -122,7 +122,7 @@ def _card(repair: RepairOutcomes, k: int) -> Markup:
     return card(channel.noun, unit, ("before the repair", before), ("after the repair", after), said)
 
 
-def _moved(mended: Repaired, lines: list[str]) -> Iterator[Content]:
+def _moved(mended: Repair, lines: list[str]) -> Iterator[Content]:
     """What moved, by how much, and what the rows cannot tell it from."""
     yield bullets([line.strip() for line in lines])
     yield table(
@@ -133,10 +133,10 @@ def _moved(mended: Repaired, lines: list[str]) -> Iterator[Content]:
     )
 
 
-def _changes(change: Change) -> Iterator[list[Content]]:
+def _changes(change: RepairChange) -> Iterator[list[Content]]:
     """A line for each coefficient of what moved."""
     for name, unit, value, std in zip(change.names, change.units, change.value, change.std, strict=True):
-        shown, scale = shown_in(unit)
+        shown, scale = shown_unit(unit)
         sure = "stated" if change.cause.kind == "new" else f"{100 * min(change.cause.probability, 0.999):.1f} %"
         yield [tag("code", name), f"{plus_minus(scale * value, scale * std)} {shown}", sure]
 
@@ -148,14 +148,18 @@ def _rows(repair: RepairOutcomes) -> Iterator[Content]:
         norms(residual, m.channels) for residual in (repair.rows.stage("before").residual, last, repair.left_out)
     ]
     channels = [k for k in range(len(m.channels)) if m.measures[:, k].any()]
-    order = m.as_read if len(m) <= MOST_ROWS else np.argsort(-np.nan_to_num(columns[1][channels[0]]))[:MOST_ROWS]
+    order = (
+        m.as_read
+        if len(m) <= MOST_LISTED_ROWS
+        else np.argsort(-np.nan_to_num(columns[1][channels[0]]))[:MOST_LISTED_ROWS]
+    )
     lines: list[list[Content]] = []
     for row in order.tolist():
         own = [k for k in channels if m.measures[row, k]]
         part = "odd, not used" if repair.rows.outlier[row] else "held out" if m.test[row] else "used"
         cells = [", ".join(_shown(c[k][row], m.channels[k]) for k in own) for c in columns]
         lines.append([f"{m.origin.files[m.origin.file[row]].name}, row {m.origin.line[row]}", part, *cells])
-    which = "" if len(m) <= MOST_ROWS else f"; the {MOST_ROWS} worst of {len(m)}"
+    which = "" if len(m) <= MOST_LISTED_ROWS else f"; the {MOST_LISTED_ROWS} worst of {len(m)}"
     yield table(["new row", "part", "before", "after", "left out"], lines, f"Error of each new row{which}", numbers=2)
 
 

@@ -10,16 +10,23 @@ from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.jobs.fleet.run_record import FAILED, Row
-from aridcal.jobs.fleet.study_figures import CONFIDENCE, Estimate, Point, found_again, points, scatters
-from aridcal.jobs.fleet.study_runs import StudyResult
-from aridcal.pages.drawing.figures import COLOURS, banded
-from aridcal.pages.drawing.frame import framed_page, sections
+from aridcal.jobs.fleet.study_figures import (
+    INTERVAL_CONFIDENCE,
+    CaseFigures,
+    Estimate,
+    points,
+    recurrent_effects,
+    scatters,
+)
+from aridcal.jobs.fleet.study_records import StudyResult
+from aridcal.pages.drawing.figures import COLOURS, banded_curves
 from aridcal.pages.drawing.html import Content, figures, table, tag
-from aridcal.pages.fleet_sections import drawn
+from aridcal.pages.drawing.page_frame import framed_page, sections
+from aridcal.pages.fleet_sections import draw_section
 from aridcal.system.errors import shortened
-from aridcal.system.wording import counted, number, shown_in
+from aridcal.system.wording import number, plural, shown_unit
 
-INTERVAL = f"{100 * CONFIDENCE:.0f} % interval"
+INTERVAL = f"{100 * INTERVAL_CONFIDENCE:.0f} % interval"
 
 MOST_ERRORS = 10
 """Different reasons of failed runs that are told."""
@@ -36,7 +43,7 @@ def study_page(done: StudyResult, title: str, effect: str, halves: bool) -> Mark
     """
     cases = points(done.rows)
     chapters: list[tuple[str, Callable[[], Iterator[Content]]]] = []
-    if effect and any(point.found is not None for point in cases):
+    if effect and any(point.finding_share is not None for point in cases):
         chapters.append(("Is it found?", lambda: _power(cases, effect)))
     chapters.append(("How large is the error?", lambda: _error(cases, done.rows)))
     if halves:
@@ -45,30 +52,31 @@ def study_page(done: StudyResult, title: str, effect: str, halves: bool) -> Mark
     failed = [row for row in done.rows if row["status"] == FAILED]
     if failed or done.remaining:
         chapters.append(("Not done", lambda: _not_done(failed, done)))
-    heading = f"{counted(len(done.rows), 'run')}"
+    heading = f"{plural(len(done.rows), 'run')}"
     drawn_once = len({row["run"] for row in done.rows})
-    how = "each from half of the fitted rows" if halves else f"{counted(drawn_once, 'machine')} in each case"
+    how = "each from half of the fitted rows" if halves else f"{plural(drawn_once, 'machine')} in each case"
     head = [tag("p", f"Study of {title}", class_="about"), tag("h1", heading), tag("p", f"{heading}, {how}.")]
-    parts = sections([(name, drawn("study.html", name, content)) for name, content in chapters])
+    parts = sections([(name, draw_section("study.html", name, content)) for name, content in chapters])
     return framed_page(f"{heading}: {title}", head, parts, f"aridcal {__version__}; every run is in study.parquet")
 
 
-def _power(cases: Sequence[Point], effect: str) -> Iterator[Content]:
+def _power(cases: Sequence[CaseFigures], effect: str) -> Iterator[Content]:
     """Shares of runs that find the effect."""
     yield tag(
         "p",
         f"Sought is {effect}. Found means: it is named, or the report says that what is named cannot be told from it. "
         "With size 0 there is none of it, and a run that finds it is wrong.",
     )
-    yield figures(_by_rows_or_sizes(cases, "runs that find it [%]", lambda p: _percents(p.found), 100.0))
+    yield figures(_by_rows_or_sizes(cases, "runs that find it [%]", lambda p: _percents(p.finding_share), 100.0))
     lines = [
-        [_case(p), counted(p.runs, "run"), *(_share(value) for value in (p.found, p.named, p.others))] for p in cases
+        [_case(p), plural(p.runs, "run"), *(_share(value) for value in (p.finding_share, p.named, p.others))]
+        for p in cases
     ]
     head = ["case", "", "found", "named itself", "something that is not there"]
     yield table(head, lines, f"Shares of runs, with their {INTERVAL} (Wilson)", numbers=1)
 
 
-def _error(cases: Sequence[Point], rows: Sequence[Row]) -> Iterator[Content]:
+def _error(cases: Sequence[CaseFigures], rows: Sequence[Row]) -> Iterator[Content]:
     """Median errors."""
     channel = next((row["channel"] for row in rows if row.get("channel")), "")
     unit = channel.rpartition("_")[2]
@@ -82,7 +90,7 @@ def _error(cases: Sequence[Point], rows: Sequence[Row]) -> Iterator[Content]:
         yield figures(pictures)
     true = any(p.true is not None for p in cases)
     lines = [
-        [_case(p), counted(p.runs, "run"), *([_median(p.true, "mm")] if true else []), _median(p.final, unit)]
+        [_case(p), plural(p.runs, "run"), *([_median(p.true, "mm")] if true else []), _median(p.final, unit)]
         for p in cases
     ]
     head = ["case", "", *(["against the truth"] if true else []), "as measured"]
@@ -91,7 +99,7 @@ def _error(cases: Sequence[Point], rows: Sequence[Row]) -> Iterator[Content]:
 
 def _again(rows: Sequence[Row]) -> Iterator[Content]:
     """Effects of the halves."""
-    shares = found_again(rows)
+    shares = recurrent_effects(rows)
     if not shares:
         yield tag("p", "No half of the rows shows an effect beyond the constants.")
         return
@@ -112,7 +120,7 @@ def _constants(rows: Sequence[Row]) -> Iterator[Content]:
     )
     lines: list[list[Content]] = []
     for s in scatters(rows):
-        unit, times = shown_in(s.unit)
+        unit, times = shown_unit(s.unit)
         stated = times * s.std / np.sqrt(2.0)
         value, low, high = (number(times * v, 2) for v in (s.scatter, s.low, s.high))
         ratio = number(times * s.scatter / stated, 2) if stated > 0 else "–"
@@ -131,13 +139,13 @@ def _not_done(failed: Sequence[Row], done: StudyResult) -> Iterator[Content]:
         lines = [[f"{times:,}", shortened(why, 500)] for why, times in count.most_common(MOST_ERRORS)]
         yield table(["runs", "why"], lines, "Runs that failed", numbers=2)
     if done.remaining:
-        yield tag("p", f"{counted(done.remaining, 'run')} not done, for {done.gone}.")
+        yield tag("p", f"{plural(done.remaining, 'run')} not done, for {done.gone}.")
 
 
 def _by_rows_or_sizes(
-    cases: Sequence[Point],
+    cases: Sequence[CaseFigures],
     label: str,
-    of: Callable[[Point], tuple[float, float, float]],
+    of: Callable[[CaseFigures], tuple[float, float, float]],
     top: float | None,
 ) -> list[tuple[Content, Markup]]:
     """Curves against the number of rows, one for each size; against sizes, one for each number of rows; what is varied."""
@@ -152,11 +160,13 @@ def _by_rows_or_sizes(
             "runs" if size is None else f"size {size:g}": np.array([at.get((n, size), nothing) for n in rows])
             for size in chosen
         }
-        picture = banded(f"{label}-rows", f"{label} against rows", np.array(rows), curves, ("rows", label), top)
+        picture = banded_curves(f"{label}-rows", f"{label} against rows", np.array(rows), curves, ("rows", label), top)
         pictures.append((f"Against the number of rows; bands are {INTERVAL}s", picture))
     if len(sizes) > 1:
         curves = {f"{n:,} rows": np.array([at.get((n, size), nothing) for size in sizes]) for n in _spread(rows)}
-        picture = banded(f"{label}-size", f"{label} against the size", np.array(sizes), curves, ("size", label), top)
+        picture = banded_curves(
+            f"{label}-size", f"{label} against the size", np.array(sizes), curves, ("size", label), top
+        )
         pictures.append(("Against the size of the effect, in what the scenario states", picture))
     return pictures
 
@@ -168,7 +178,7 @@ def _spread(values: Sequence) -> list:
     return [values[k] for k in np.linspace(0, len(values) - 1, len(COLOURS)).round().astype(int).tolist()]
 
 
-def _case(point: Point) -> str:
+def _case(point: CaseFigures) -> str:
     """Which case it is."""
     parts = [f"{point.rows:,} rows"] if point.rows is not None else ["half of the rows"]
     parts += [f"size {point.size:g}"] if point.size is not None else []

@@ -9,11 +9,11 @@ import pandas as pd
 
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.history.comparison import compare, constants, lines
-from aridcal.system.progress import InWords
+from aridcal.system.progress import PrintedAnswer
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Changes(InWords):
+class Changes(PrintedAnswer):
     """What changed between two calibrations, for Python.
 
     Attributes:
@@ -46,7 +46,7 @@ def changes(a: str | Path | SavedModel, b: str | Path | SavedModel) -> Changes:
     columns = ["what", "name", "unit", "before", "change", "std", "p_value"]
     rows = [
         (c.words, name, unit, before, float(value), float(std), c.p_value)
-        for c in comparison.causes.found
+        for c in comparison.causes.changes
         for name, unit, before, value, std in zip(c.names, c.units, c.before, c.value, c.std, strict=True)
     ]
     coefficients = pd.DataFrame(

@@ -10,11 +10,11 @@ import pandas as pd
 from aridcal.jobs.history.store import read_runs
 from aridcal.jobs.history.wear import history
 from aridcal.pages.history_page import alarm_table, constant_table, error_table, lines, robot_table
-from aridcal.system.progress import InWords
+from aridcal.system.progress import PrintedAnswer
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class FleetHistory(InWords):
+class FleetHistory(PrintedAnswer):
     """A fleet over time, for Python.
 
     Attributes:

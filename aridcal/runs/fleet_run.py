@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aridcal.jobs.fleet.cluster import dask_engine
-from aridcal.jobs.fleet.in_process import here
-from aridcal.jobs.fleet.members import TAKEN, Member
-from aridcal.jobs.fleet.runs import FleetResults, computed, planned
+from aridcal.jobs.fleet.local_engine import run_tasks
+from aridcal.jobs.fleet.members import RESERVED_NAMES_OF_FLEET, Member
+from aridcal.jobs.fleet.runs import FleetResults, computed, plan_runs
 from aridcal.pages.fleet_page import fleet_page
 from aridcal.runs.result_folder import write_folder
 from aridcal.system.errors import shortened
-from aridcal.system.progress import InWords, Progress
-from aridcal.system.wording import counted
+from aridcal.system.progress import PrintedAnswer, Progress
+from aridcal.system.wording import plural
 from aridcal.system.writing.staging import clear_up
 from aridcal.system.writing.whole_files import atomic_file, claimed
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-PAGE = "fleet.html"
+FLEET_PAGE = "fleet.html"
 
-MOST_NAMED = 20
+MOST_NAMED_ROBOTS = 20
 """Robots that failed, or remain, named on the screen; the page has all of the former."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class FleetRun(InWords):
+class FleetRun(PrintedAnswer):
     """What became of a fleet, for Python.
 
     Attributes:
@@ -86,16 +86,16 @@ def calibrated_fleet(fleet: Sequence[Member], out: Path, scheduler: str | None, 
     Raises:
         AridcalError: the folder cannot be used, or the engine not be had.
     """
-    with claimed(out, "folder", TAKEN):
+    with claimed(out, "folder", RESERVED_NAMES_OF_FLEET):
         out.mkdir(exist_ok=True)
         try:
-            plan = planned(fleet, out, write_folder, progress)
-            with dask_engine(scheduler, progress) if plan.tasks else nullcontext(here) as engine:
+            plan = plan_runs(fleet, out, write_folder, progress)
+            with dask_engine(scheduler, progress) if plan.tasks else nullcontext(run_tasks) as engine:
                 ran = computed(plan, engine, progress)
         finally:
             clear_up(out, out)  # what workers have left that were stopped in the middle of a folder
         progress("drawing the page")
-        with atomic_file(out / PAGE) as path:
+        with atomic_file(out / FLEET_PAGE) as path:
             path.write_bytes(
                 fleet_page(ran, f"{out.absolute().parent.name}/{out.absolute().name}").encode("utf-8", "replace")
             )
@@ -107,19 +107,19 @@ def summary(ran: FleetResults) -> list[str]:
     done = len(ran.now) - len(ran.failed) - sum(name in ran.now for name in ran.remaining)
     requested = done + len(ran.failed) + len(ran.remaining)
     known_part = f", {len(ran.kept):,} of them known already" if ran.kept else ""
-    lines = [f"{done:,} of {counted(requested, 'robot')} done{known_part}"]
+    lines = [f"{done:,} of {plural(requested, 'robot')} done{known_part}"]
     if ran.failed:
-        lines.append(f"{counted(len(ran.failed), 'robot')} failed:")
+        lines.append(f"{plural(len(ran.failed), 'robot')} failed:")
         failures = list(ran.failed.items())
-        lines += [f"  {name}: {shortened(why, 400)}" for name, why in failures[:MOST_NAMED]]
+        lines += [f"  {name}: {shortened(why, 400)}" for name, why in failures[:MOST_NAMED_ROBOTS]]
         lines += _more(len(failures))
     if ran.remaining:
-        lines.append(f"{counted(len(ran.remaining), 'robot')} remain, for {ran.gone}:")
-        lines += [f"  {name}" for name in ran.remaining[:MOST_NAMED]]
+        lines.append(f"{plural(len(ran.remaining), 'robot')} remain, for {ran.gone}:")
+        lines += [f"  {name}" for name in ran.remaining[:MOST_NAMED_ROBOTS]]
         lines += _more(len(ran.remaining))
         lines.append("start the same command again: what is done stays")
     return lines
 
 
 def _more(count: int) -> list[str]:
-    return [f"  and {count - MOST_NAMED:,} more"] if count > MOST_NAMED else []
+    return [f"  and {count - MOST_NAMED_ROBOTS:,} more"] if count > MOST_NAMED_ROBOTS else []

@@ -9,19 +9,19 @@ from pathlib import Path
 import pandas as pd
 
 from aridcal.engine.robot.chain import Robot, load_robot
-from aridcal.engine.robot.named import described
+from aridcal.engine.robot.described_robots import robot_description
 from aridcal.engine.robot.tree import read_tree
 from aridcal.files.tables import AnyTable
 from aridcal.jobs.merge import bags, log_files
 from aridcal.jobs.merge.bag_camera import BagCamera, Take
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
-from aridcal.jobs.merge.merging import MergeResult, merged
-from aridcal.jobs.prepare.guesses import Asker, Choose, nobody
+from aridcal.jobs.merge.log_rows import MergeResult, merged
+from aridcal.jobs.prepare.guesses import Choose, Chooser, leave_open
 from aridcal.pages.merge_page import lines
 from aridcal.system.errors import AridcalError, RobotError
 from aridcal.system.progress import SHOWN_REMARKS, Screen
 
-QUESTIONS = (
+MERGE_QUESTIONS = (
     "joints.time", "tracker.time", "joints.decimal", "tracker.decimal", "target",
     "table.sheet", "table.dates", "columns", "units", "orientation",
 )  # fmt: skip
@@ -44,7 +44,7 @@ class Logs:
     joints: JointLog
     measured: TrackerLog | BagCamera
     bag: Path
-    asker: Asker
+    asker: Chooser
 
     def frames(self, numbers: frozenset[int], take: Take) -> None:
         """Go through the camera's images; see :func:`aridcal.jobs.merge.bags.frames`."""
@@ -52,7 +52,7 @@ class Logs:
         bags.frames(self.bag, self.measured.topic, numbers, take)
 
 
-def joined(
+def join_logs(
     joints: AnyTable, tracker: AnyTable | None, urdf: Path, tip: str, choose: Choose, settled: Mapping[str, int]
 ) -> MergeResult:
     """Join two logs, or both logs of one bag; see :func:`read_logs`.
@@ -84,9 +84,9 @@ def read_logs(
     Raises:
         AridcalError: the logs cannot be read.
     """
-    asker = Asker(choose, settled, drafts=False)
-    asker.check(QUESTIONS)
-    source = described(urdf, {}, {})
+    asker = Chooser(choose, settled, drafts=False)
+    asker.check(MERGE_QUESTIONS)
+    source = robot_description(urdf, {}, {})
     try:
         robot = load_robot(source.path, tip, None, packages=source.packages, arguments=source.arguments)
     except RobotError as problem:  # which speaks of a campaign's keys
@@ -133,12 +133,12 @@ def merge(
     Raises:
         AridcalError: the logs cannot be read or joined; saying why.
     """
-    result = joined(joints, tracker, Path(urdf), tip, nobody, answers or {})
-    tell(result, Screen(force_jupyter=False))
+    result = join_logs(joints, tracker, Path(urdf), tip, leave_open, answers or {})
+    print_merge(result, Screen(force_jupyter=False))
     return result.table
 
 
-def tell(result: MergeResult, console: Screen) -> None:
+def print_merge(result: MergeResult, console: Screen) -> None:
     """Print how the logs were joined, and the standstills that make no row."""
     sentences = [*lines(result), *(f"no row: {standstill}" for standstill in result.unpaired[:SHOWN_REMARKS])]
     if len(result.unpaired) > SHOWN_REMARKS:

@@ -16,12 +16,12 @@ from aridcal.jobs.plan.joint_moves import PROGRAMS, WAYPOINTS, check_program, mo
 from aridcal.jobs.plan.pose_design import Plan, as_table
 from aridcal.pages.plan_page import plan_page
 from aridcal.system.errors import OutputError
-from aridcal.system.writing.apart import check_apart
-from aridcal.system.writing.table_writer import ENDINGS, write_table
+from aridcal.system.writing.separate_paths import check_apart
+from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, write_table
 from aridcal.system.writing.whole_files import atomic_file, check_home
 
-PAGE = ".html"
-PLAN_ENDINGS = (*ENDINGS, *PROGRAMS, PAGE)
+PLAN_PAGE_ENDING = ".html"
+PLAN_ENDINGS = (*WRITTEN_ENDINGS, *PROGRAMS, PLAN_PAGE_ENDING)
 """Endings of what can be written."""
 
 MOST_PLANNED = 500
@@ -80,9 +80,9 @@ def write_plan(plan: Plan, campaign: Campaign, robot: Robot, out: Sequence[Path]
 def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path, settle: float) -> None:
     """Write one file of a plan, called ``path``, to ``file``; see :func:`write_plan`."""
     ending = path.suffix.lower()
-    if ending in ENDINGS:
+    if ending in WRITTEN_ENDINGS:
         write_table(as_table(plan, robot, campaign.measurements), file)
-    elif ending == PAGE:
+    elif ending == PLAN_PAGE_ENDING:
         file.write_text(plan_page(plan, robot, campaign.path.name), encoding="utf-8", errors="replace")
     else:
         # controllers go straight in joints; MoveIt may come by any way

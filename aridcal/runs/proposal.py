@@ -8,7 +8,7 @@ from aridcal.jobs.prepare.campaign_text import Draft, scalar
 from aridcal.system.progress import SHOWN_REMARKS, Screen
 
 
-def tell(proposed: Draft, title: str, console: Screen) -> None:
+def print_proposal(proposed: Draft, title: str, console: Screen) -> None:
     """Print findings and guesses of a proposal, and the number of usable rows."""
     by_reason = itertools.groupby(proposed.proposal.guesses, key=lambda guess: (guess.why, guess.sure))
     for (why, sure), group in by_reason:

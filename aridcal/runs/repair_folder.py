@@ -11,19 +11,19 @@ from aridcal.files.tables import AnyTable
 from aridcal.jobs.calibrate.controllers import controller_exports, write_controllers
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.urdf_files import write_urdf
-from aridcal.jobs.maintain.answers import check_lines, left_out_line
+from aridcal.jobs.maintain.answers import check_lines, repair_error_line
 from aridcal.jobs.maintain.checking import CheckResult, check
 from aridcal.jobs.maintain.documents import document, figures_before, lineage, residuals
 from aridcal.jobs.maintain.new_rows import read_new_rows
-from aridcal.jobs.maintain.outcomes import RepairOutcomes, repair_outcomes
-from aridcal.jobs.maintain.repair import Repaired, repaired
+from aridcal.jobs.maintain.repair import Repair, repair_calibration
+from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes, repair_outcomes
 from aridcal.pages.drawing.scene import write_scene
 from aridcal.pages.repair_page import write_repair_report
 from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS
 from aridcal.system.errors import CampaignError, OutputError
 from aridcal.system.progress import SILENT, Progress
 from aridcal.system.reading.regular_files import CALIBRATION, read_file
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import atomic_folder, claimed
 
 SCORED_ON = "where it was calibrated, against the repaired model"
@@ -55,20 +55,20 @@ def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = 
         progress("asking what moved")
         new_rows = read_new_rows(saved, table)
         checked = check(saved, new_rows.rows, frames=new_rows.frames)
-        repair = repaired(saved, checked)
+        repair = repair_calibration(saved, checked)
         lines = check_lines(checked, repair.changes, saved.measurements)
         progress("setting the repair beside the rows")
         outcomes = repair_outcomes(saved, checked, repair)
         parents = lineage(saved, before, content, checked)
         notices = _write(out, outcomes, checked, repair, parents, lines, figures_before(before), progress)
-    return (*lines, left_out_line(outcomes), *(f"note: {notice}" for notice in notices))
+    return (*lines, repair_error_line(outcomes), *(f"note: {notice}" for notice in notices))
 
 
 def _write(
     out: Path,
     outcomes: RepairOutcomes,
     checked: CheckResult,
-    repair: Repaired,
+    repair: Repair,
     parents: dict[str, Any],
     lines: list[str],
     figures: dict[str, Any],

@@ -31,7 +31,7 @@ RESULT_FOLDERS = frozenset({"regions"})
 
 
 @dataclass(frozen=True)
-class Written:
+class FolderRemarks:
     """Remarks on a folder that was written.
 
     Attributes:
@@ -45,7 +45,7 @@ class Written:
 
 def write_folder(
     outcome: Outcome, folder: Path, progress: Progress = SILENT, beside: Mapping[str, str] = MappingProxyType({})
-) -> Written:
+) -> FolderRemarks:
     """Write every file of a result folder: all appear together or none does.
 
     Figures come first. A picture that cannot be drawn costs a notice and no other file.
@@ -65,7 +65,7 @@ def write_folder(
     from aridcal.pages.certificate import write_certificate
     from aridcal.pages.drawing.scene import write_scene
     from aridcal.pages.report.page import write_report
-    from aridcal.system.reading.freed import give_back
+    from aridcal.system.reading.memory_release import give_back
 
     give_back()
     with atomic_folder(folder, RESULT_FILES | RESULT_FOLDERS) as stage:
@@ -83,4 +83,4 @@ def write_folder(
         notices = notices_read + write_report(outcome, handover, stage / "report.html", progress) + notices
         for name, text in beside.items():
             (stage / name).write_text(text, encoding="utf-8")
-    return Written(handover, notices)
+    return FolderRemarks(handover, notices)

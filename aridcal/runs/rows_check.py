@@ -12,11 +12,11 @@ from aridcal.jobs.maintain.answers import check_lines
 from aridcal.jobs.maintain.checking import check
 from aridcal.jobs.maintain.new_rows import read_new_rows
 from aridcal.jobs.maintain.repair import changes
-from aridcal.system.progress import InWords
+from aridcal.system.progress import PrintedAnswer
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Check(InWords):
+class Check(PrintedAnswer):
     """What new rows say of a calibration, for Python.
 
     Attributes:

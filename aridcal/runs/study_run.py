@@ -9,26 +9,26 @@ from typing import TYPE_CHECKING
 
 from aridcal.files.campaign import Campaign
 from aridcal.jobs.fleet.cluster import dask_engine
-from aridcal.jobs.fleet.in_process import here
+from aridcal.jobs.fleet.local_engine import run_tasks
 from aridcal.jobs.fleet.run_record import FAILED
-from aridcal.jobs.fleet.study_runs import NAME, StudyResult, known_runs, studied
-from aridcal.jobs.fleet.trials import sought, trials
+from aridcal.jobs.fleet.study_records import STUDY_TABLE, StudyResult, earlier_runs, studied
+from aridcal.jobs.fleet.trials import search_in_words, trials
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.pages.study_page import study_page
 from aridcal.system.errors import shortened
-from aridcal.system.progress import InWords, Progress
-from aridcal.system.wording import counted
+from aridcal.system.progress import PrintedAnswer, Progress
+from aridcal.system.wording import plural
 from aridcal.system.writing.whole_files import atomic_file, claimed
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-PAGE = "study.html"
+STUDY_PAGE = "study.html"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class StudyRun(InWords):
+class StudyRun(PrintedAnswer):
     """What a study found, for Python.
 
     Attributes:
@@ -53,14 +53,14 @@ class StudyRun(InWords):
 
 def study_run(results: StudyResult, out: Path) -> StudyRun:
     """What a study found, for Python."""
-    from aridcal.pages.fleet_tables import again_table, case_table, run_table, scatter_table
+    from aridcal.pages.fleet_tables import case_table, recurrent_table, run_table, scatter_table
 
     halves = [row for row in results.rows if row["rows"] is None]
     return StudyRun(
         folder=out,
         cases=case_table(results),
         runs=run_table(results),
-        effects=again_table(halves),
+        effects=recurrent_table(halves),
         constants=scatter_table(halves),
         remaining=results.remaining,
         lines=tuple(summary(results)),
@@ -79,17 +79,17 @@ def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progres
     Raises:
         AridcalError: the folder cannot be used, or the engine not be had.
     """
-    with claimed(out, "folder", (NAME, PAGE)):
+    with claimed(out, "folder", (STUDY_TABLE, STUDY_PAGE)):
         out.mkdir(exist_ok=True)
         all_trials = trials(job)
-        known_rows = known_runs(out, all_trials)
+        known_rows = earlier_runs(out, all_trials)
         needed = len(known_rows) < len(all_trials)
-        with dask_engine(scheduler, progress) if needed else nullcontext(here) as engine:
+        with dask_engine(scheduler, progress) if needed else nullcontext(run_tasks) as engine:
             results = studied(all_trials, known_rows, out, engine, progress)
         progress("drawing the page")
         title = job.path.absolute().parent.name + "/" + job.path.name
-        with atomic_file(out / PAGE) as path:
-            page = study_page(results, title, sought(job), isinstance(job, Campaign))
+        with atomic_file(out / STUDY_PAGE) as path:
+            page = study_page(results, title, search_in_words(job), isinstance(job, Campaign))
             path.write_bytes(page.encode("utf-8", "replace"))
     return results
 
@@ -99,12 +99,12 @@ def summary(results: StudyResult) -> list[str]:
     failed = [row for row in results.rows if row["status"] == FAILED]
     known_part = f", {results.kept:,} of them known already" if results.kept else ""
     lines = [
-        f"{len(results.rows) - len(failed):,} of {counted(len(results.rows) + results.remaining, 'run')} done{known_part}"
+        f"{len(results.rows) - len(failed):,} of {plural(len(results.rows) + results.remaining, 'run')} done{known_part}"
     ]
     if failed:
-        lines.append(f"{counted(len(failed), 'run')} failed, the first for: {shortened(str(failed[0]['error']), 400)}")
+        lines.append(f"{plural(len(failed), 'run')} failed, the first for: {shortened(str(failed[0]['error']), 400)}")
     if results.remaining:
         lines.append(
-            f"{counted(results.remaining, 'run')} remain, for {results.gone}; start the same command again: what is done stays"
+            f"{plural(results.remaining, 'run')} remain, for {results.gone}; start the same command again: what is done stays"
         )
     return lines

@@ -52,7 +52,7 @@ class NotIdentifiable(AridcalError):
 CONTROL_CATEGORIES = frozenset({"Cc", "Zl", "Zp", "Cs"})
 """Unicode's categories of control characters, line and paragraph separators, and halves of characters."""
 
-SHOWN = 60
+SHOWN_LENGTH = 60
 """Characters of a user's text that a message shows."""
 
 SHOWN_NAMES = 30
@@ -82,12 +82,12 @@ def printable_lines(text: str) -> str:
     return "".join(piece if piece in ("\n", "\t") else printable(piece) for piece in re.split("([\n\t])", text))
 
 
-def shortened(text: str, most: int = SHOWN) -> str:
+def shortened(text: str, most: int = SHOWN_LENGTH) -> str:
     """The text, or its beginning with three dots."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def listed(names: Sequence[str]) -> str:
+def name_list(names: Sequence[str]) -> str:
     """Names for a message: the first of them, and how many more there are."""
     more = f" and {len(names) - SHOWN_NAMES:,} more" if len(names) > SHOWN_NAMES else ""
     return ", ".join(shortened(name) for name in names[:SHOWN_NAMES]) + more
@@ -96,8 +96,8 @@ def listed(names: Sequence[str]) -> str:
 def nearest(name: str, choices: Iterable[str]) -> str:
     """A hint for a misspelt name: ``" (did you mean 'x'?)"``, or the names to choose from, or nothing."""
     names = [str(k) for k in choices]
-    short = [k for k in names[:COMPARED_NAMES] if len(k) <= SHOWN]
-    close = difflib.get_close_matches(name, short, n=1, cutoff=0.5) if len(name) <= SHOWN else []
+    short = [k for k in names[:COMPARED_NAMES] if len(k) <= SHOWN_LENGTH]
+    close = difflib.get_close_matches(name, short, n=1, cutoff=0.5) if len(name) <= SHOWN_LENGTH else []
     if close:
         return f" (did you mean {close[0]!r}?)"
-    return f" (known: {listed(names)})" if names else ""
+    return f" (known: {name_list(names)})" if names else ""

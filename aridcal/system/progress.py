@@ -44,7 +44,7 @@ BAR = 20
 """Letters of a bar."""
 
 
-def unheard(stream: IO[str]) -> None:
+def silence_stream(stream: IO[str]) -> None:
     """Nobody reads a stream any more: what is still printed goes nowhere. Python would try once more at its end, and complain."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
@@ -68,11 +68,11 @@ class Screen(Console):
 
     def on_broken_pipe(self) -> None:
         """Rich would end the program with status 1."""
-        unheard(self.file)
+        silence_stream(self.file)
 
 
 @dataclass(frozen=True)
-class HowFar:
+class StepProgress:
     """How far a step is.
 
     Attributes:
@@ -106,7 +106,7 @@ class HowFar:
         return f"{'━' * full}{'─' * (BAR - full)} {100 * self.share:3.0f} %  "
 
 
-Passing = Callable[[HowFar], None]
+Passing = Callable[[StepProgress], None]
 
 
 def duration(seconds: float) -> str:
@@ -166,7 +166,7 @@ class Progress:
         self._told = now
         share = None if share is None else min(max(share, 0.0), 1.0)
         left = (now - self._began) * (1.0 - share) / share if share else math.nan
-        self._passing(HowFar(self._step, text, share, left))
+        self._passing(StepProgress(self._step, text, share, left))
 
     def over(self, items: Sequence[T], of: str) -> Iterator[T]:
         """Go through items, and tell how many are done."""
@@ -184,7 +184,7 @@ SILENT = Progress(lambda _: None)
 
 
 @contextmanager
-def told_on(console: Console) -> Iterator[Progress]:
+def console_progress(console: Console) -> Iterator[Progress]:
     """Progress of a command: a line for each step, and inside it one line that is overwritten; in a pipe lines alone.
 
     Args:
@@ -199,7 +199,7 @@ def told_on(console: Console) -> Iterator[Progress]:
         clear()
         console.print(line(step), style="dim", markup=False, highlight=False, soft_wrap=True)
 
-    def passing(far: HowFar) -> None:
+    def passing(far: StepProgress) -> None:
         clear()
         text = line(f"{far.bar}{far}")
         console.print(text, style="dim", markup=False, highlight=False, no_wrap=True, overflow="ellipsis", end="")
@@ -297,7 +297,7 @@ class Page:
         return f'<iframe srcdoc="{source}" width="100%" height="{HEIGHT}" style="border: 0"></iframe>'
 
 
-class InWords:
+class PrintedAnswer:
     """An answer for Python users, which terminals and notebooks show by its lines.
 
     Attributes:

@@ -42,12 +42,12 @@ def fixed(value: float, decimals: int) -> str:
     return f"{round(value, decimals) + 0.0:,.{decimals}f}".replace("-", "−")
 
 
-def counted(count: int, what: str) -> str:
+def plural(count: int, what: str) -> str:
     """A number of things: `1 row`, `1,495 rows`."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
-def shown_in(unit: str) -> tuple[str, float]:
+def shown_unit(unit: str) -> tuple[str, float]:
     """Unit in which a quantity in SI is shown, and what it is multiplied with."""
     return (SHOWN_UNIT[unit], 1e3) if unit in SHOWN_UNIT else (unit, 1.0)
 
@@ -65,7 +65,7 @@ def reading_in_words(value: float, kind: str) -> str:
     return f"{fixed(value, 3)} m" if kind == "prismatic" else f"{fixed(math.degrees(value), 0)}°"
 
 
-def enumerated(words: Sequence[str]) -> str:
+def enumeration(words: Sequence[str]) -> str:
     """Words one after the other: ``a, b and c``."""
     *first, last = words
     return f"{', '.join(first)} and {last}" if first else last

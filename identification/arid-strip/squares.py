@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from aridcal.jobs.head1992.doty1992 import ORBITER_TO_BASE
-from aridcal.jobs.head1992.square import SIDE, STRIP_SQUARES
+from aridcal.jobs.head1992.square import SQUARE_SIDE, STRIP_SQUARES
 
 STATIONS = (2.0, 8.5, 15.0)  # along the rail, [m]
 RADIUS = 1.75  # of the door, [m]
@@ -24,7 +24,7 @@ FIRST, LAST = np.array([1.15, 2.35]), np.array([-1.08, 1.16])  # ends of a strip
 
 def strip() -> np.ndarray:
     """T_base_square of one strip at the rail's zero, shape (28, 4, 4)."""
-    turn = SIDE / RADIUS
+    turn = SQUARE_SIDE / RADIUS
     middle, chord = (FIRST + LAST) / 2, (LAST - FIRST) / np.linalg.norm(LAST - FIRST)
     outward = np.array([-chord[1], chord[0]])
     outward *= np.sign(outward @ middle)

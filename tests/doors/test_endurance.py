@@ -30,7 +30,7 @@ from aridcal.jobs.apply import stretches
 from aridcal.jobs.calibrate import pipeline
 from aridcal.jobs.calibrate.folder import write_results
 from aridcal.system.errors import CampaignError, MeasurementError
-from aridcal.system.progress import EVERY, HowFar, Progress, told_on
+from aridcal.system.progress import EVERY, Progress, StepProgress, console_progress
 
 
 def hundred_times(folder: Path, rows: int) -> pd.DataFrame:
@@ -183,8 +183,8 @@ def test_columns_that_move_no_row_of_a_block_change_no_sum(monkeypatch: pytest.M
     asked = problem(Model(truth.model.robot, every, frames, truth.model.tip_target), rows)
     theta, sigma = np.zeros(len(every)), np.ones(2)
     dense = linearise(asked, theta, None, sigma).equations
-    monkeypatch.setattr("aridcal.engine.fit.residual.MANY", 0)
-    monkeypatch.setattr("aridcal.engine.fit.problem.BLOCK", 7)
+    monkeypatch.setattr("aridcal.engine.fit.residual.MANY_COEFFICIENTS", 0)
+    monkeypatch.setattr("aridcal.engine.fit.problem.ROWS_PER_BLOCK", 7)
     sparse = linearise(asked, theta, None, sigma).equations
     np.testing.assert_allclose(sparse.AA, dense.AA, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(sparse.Ar, dense.Ar, rtol=1e-12, atol=1e-12)
@@ -206,7 +206,7 @@ def test_a_step_tells_how_far_it_is_and_not_too_often() -> None:
 
 
 def test_the_time_left_is_what_the_rest_takes_at_the_pace_so_far_and_the_bar_shows_the_share() -> None:
-    told: list[HowFar] = []
+    told: list[StepProgress] = []
     clock = ticking(10.0)
     progress = Progress(lambda _: None, told.append, lambda: next(clock))
     progress("searching")
@@ -234,7 +234,7 @@ def test_a_quiet_step_is_told_of_only_if_it_takes_long() -> None:
 def test_in_a_pipe_progress_is_lines_and_in_a_terminal_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     for terminal in (False, True):
         console = Console(stderr=True, force_terminal=terminal, width=80)
-        with told_on(console) as progress:
+        with console_progress(console) as progress:
             progress._clock = iter([0.0, 5.0, 10.0]).__next__
             progress("reading [bold]")
             progress.part(1, 2, "rows")

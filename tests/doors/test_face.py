@@ -27,7 +27,7 @@ import aridcal
 from aridcal import api
 from aridcal.files.campaign import load_campaign
 from aridcal.files.yaml_file import parse_settings
-from aridcal.jobs.fleet.in_process import here
+from aridcal.jobs.fleet.local_engine import run_tasks
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
 from aridcal.runs.result_folder import RESULT_FILES
@@ -178,11 +178,11 @@ def test_parameters_name_what_was_identified(cal: aridcal.Calibration) -> None:
 def test_a_second_look_is_a_table_as_well(cal: aridcal.Calibration) -> None:
     assert cal.outcome is not None
     looked = cal.outcome.second_look
-    assert looked is not None and looked.known is not None and looked.influence is not None
+    assert looked is not None and looked.identifiability is not None and looked.influence is not None
     combinations = cal.combinations
-    assert list(combinations) == [*looked.known.names, "std"]
+    assert list(combinations) == [*looked.identifiability.names, "std"]
     assert combinations["std"].is_monotonic_increasing
-    first = looked.known.combinations[0]
+    first = looked.identifiability.combinations[0]
     assert combinations.loc[0, first.parts[0][0]] == first.parts[0][1]
     rows = cal.influence
     assert rows["shift_mm"].is_monotonic_decreasing and len(rows) == 20
@@ -424,7 +424,7 @@ def test_what_the_page_on_python_shows_runs(tmp_path: Path, monkeypatch: pytest.
             simulate(parse_settings(quick, tmp_path / "s.yaml", Scenario)), *[tmp_path / "robots" / name] * 2
         )
     for module in ("fleet_run", "study_run"):  # processes would take longer to start than to work
-        monkeypatch.setattr(sys.modules[f"aridcal.runs.{module}"], "dask_engine", lambda *_: nullcontext(here))
+        monkeypatch.setattr(sys.modules[f"aridcal.runs.{module}"], "dask_engine", lambda *_: nullcontext(run_tasks))
     text = API.read_text("utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     loads = next(k for k, block in enumerate(blocks) if "aridcal.load(" in block)

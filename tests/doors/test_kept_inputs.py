@@ -13,7 +13,7 @@ from repository import ROOT
 
 from aridcal.__main__ import COMMANDS, main
 from aridcal.system.errors import OutputError
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 
 
 def itself(file: Path, alias: Path) -> Path:

@@ -17,7 +17,7 @@ from repository import ROOT
 from scipy.stats import binom
 
 from aridcal.engine.fit.flags import cluster, coordinates
-from aridcal.engine.rows.repeats import by_appearance, first_alike, seen_before
+from aridcal.engine.rows.repeats import by_appearance, earlier_occurrences, first_alike
 from aridcal.jobs.calibrate.folder import residual_table, write_results
 from aridcal.jobs.calibrate.pipeline import identify
 
@@ -136,8 +136,8 @@ def test_rows_that_were_seen_before_are_counted_as_pandas_counts() -> None:
     mixed = pd.Series(labels).sample(frac=1.0, random_state=0)
     order = np.random.RandomState(0).permutation(300)
     np.testing.assert_array_equal(order, mixed.index)
-    np.testing.assert_array_equal(seen_before(labels[order]), mixed.groupby(mixed).cumcount())
-    assert len(seen_before(labels[:0])) == 0
+    np.testing.assert_array_equal(earlier_occurrences(labels[order]), mixed.groupby(mixed).cumcount())
+    assert len(earlier_occurrences(labels[:0])) == 0
 
 
 def test_residuals_are_written_as_pandas_would(tmp_path: Path) -> None:

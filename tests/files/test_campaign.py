@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from aridcal.engine.corrections.catalogue import KINDS
-from aridcal.files.campaign import Campaign, Job, load_campaign
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
+from aridcal.files.campaign import Campaign, JobSettings, load_campaign
 from aridcal.files.measurement_settings import LENGTHS
 from aridcal.files.yaml_file import Section, load_settings, parse_settings
 from aridcal.system.errors import CampaignError
@@ -90,7 +90,7 @@ def test_what_is_left_out_has_the_stated_defaults() -> None:
         assert (frame.xyz, frame.rpy, frame.identify, frame.per) == ((0, 0, 0), (0, 0, 0), True, None)
     assert (job.parameters.set, job.effects, job.diagnosis.enabled) == ("full", (), True)
     assert job.diagnosis.candidates == parse(SMALLEST + "diagnosis: {candidates: all}").diagnosis.candidates
-    assert set(job.diagnosis.candidates) == {name for name, kind in KINDS.items() if not kind.asked}
+    assert set(job.diagnosis.candidates) == {name for name, kind in EFFECT_KINDS.items() if not kind.on_request}
 
 
 def test_paths_are_relative_to_the_file_and_its_text_is_kept(tmp_path: Path) -> None:
@@ -273,7 +273,7 @@ def test_another_settings_file_is_read_by_the_same_rules(tmp_path: Path) -> None
         seed: int = 0
         parameters: dict[str, float]
 
-    class Scenario(Job):
+    class Scenario(JobSettings):
         truth: Truth
 
     path = tmp_path / "scenario.yaml"

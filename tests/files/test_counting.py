@@ -20,7 +20,7 @@ import aridcal.init
 from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.files.counting import counting
 from aridcal.files.read import load_measurements
-from aridcal.jobs.calibrate.region import corners
+from aridcal.jobs.calibrate.tolerance_region import corners
 from aridcal.jobs.plan.pose_design import joint_table
 from aridcal.system.errors import CampaignError
 

@@ -13,7 +13,7 @@ import yaml
 from repository import ROOT
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.instruments.kinds import KINDS as EVERY
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS as EVERY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.files.measurement_settings import MeasurementSettings

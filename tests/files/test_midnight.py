@@ -15,7 +15,7 @@ from aridcal.files.campaign import load_campaign
 from aridcal.jobs.calibrate.job_inputs import read_job
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.system.errors import MeasurementError
-from aridcal.system.reading.dates import DAY, of_the_day, unrolled
+from aridcal.system.reading.dates import DAY, times_of_day, unrolled
 
 EVENING = 23 * 3600.0
 
@@ -98,8 +98,8 @@ def test_a_table_of_two_days_without_dates_is_asked_about(tmp_path: Path) -> Non
 
 def test_times_of_a_query_count_as_the_calibrations_do() -> None:
     asked = np.array([EVENING + 60, 60.0, 7200.0, np.nan, 12 * 3600.0])
-    np.testing.assert_array_equal(of_the_day(asked, EVENING, DAY + 3600.0), asked + [0, DAY, 0, 0, 0])
-    np.testing.assert_array_equal(of_the_day(asked, 0.0, 80000.0), asked)
+    np.testing.assert_array_equal(times_of_day(asked, EVENING, DAY + 3600.0), asked + [0, DAY, 0, 0, 0])
+    np.testing.assert_array_equal(times_of_day(asked, 0.0, 80000.0), asked)
 
 
 def test_wanted_poses_need_no_time_that_no_effect_uses(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exp
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.pages.drawing import robot_shapes, scene
-from aridcal.pages.drawing.html import LONGEST_REASON, attempt, note, noting
+from aridcal.pages.drawing.html import LONGEST_NOTICE, attempt, collect_notices, note
 from aridcal.pages.report import page
 
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
@@ -240,19 +240,21 @@ def dressed(robot: Robot, more: str, folder: Path) -> Robot:
 
 
 @pytest.fixture(scope="module")
-def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Robot, tuple[robot_shapes.Shape, ...], tuple[str, ...]]:
+def attacked(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Robot, tuple[robot_shapes.LinkShape, ...], tuple[str, ...]]:
     """A robot with every bad picture at once, what is drawn of it, and what is said."""
     folder = tmp_path_factory.mktemp("attacked")
     put_files(folder)
     robot = dressed(bare(), links(), folder)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(robot_shapes, "MOST_NOTICES", 1000)
+        patched.setattr(robot_shapes, "MOST_SHAPE_NOTICES", 1000)
         patched.setattr(meshes, "ROBOT_SECONDS", 3600)  # all are looked at, however busy the machine is
         drawn, notices = robot_shapes.robot_shapes(robot)
     return robot, drawn, notices
 
 
-Attacked = tuple[Robot, tuple[robot_shapes.Shape, ...], tuple[str, ...]]
+Attacked = tuple[Robot, tuple[robot_shapes.LinkShape, ...], tuple[str, ...]]
 
 
 def test_there_are_attacks_enough() -> None:
@@ -280,7 +282,7 @@ def test_a_bad_picture_gives_one_notice_with_its_link_and_the_reason(name: str, 
     assert len(about) == 1, about
     assert about[0].startswith(f"link '{name}' is not drawn: ")
     assert BAD[name][1] in about[0]
-    assert about[0].isprintable() and len(about[0]) < LONGEST_REASON + 100
+    assert about[0].isprintable() and len(about[0]) < LONGEST_NOTICE + 100
     assert ".py:" not in about[0]  # none is a bug of ours
 
 
@@ -344,7 +346,7 @@ def test_a_mesh_that_kills_its_reader_costs_itself_alone(tmp_path: Path, monkeyp
 
 def test_a_reader_that_takes_much_memory_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "bomb.dae").write_bytes(bomb())
-    monkeypatch.setattr(meshes, "MEMORY_GB", 0.45)
+    monkeypatch.setattr(meshes, "MESH_MEMORY_GB", 0.45)
     monkeypatch.setattr(meshes, "FILE_SECONDS", 3600)  # memory is short before time is
     (bad,) = read_meshes([tmp_path / "bomb.dae"]).values()
     assert isinstance(bad, NotDrawable) and "longer" not in str(bad)
@@ -467,7 +469,7 @@ ERRORS = [ZeroDivisionError("oops"), MemoryError(), RecursionError("deep"), OSEr
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
 def test_an_error_of_any_kind_is_a_notice_with_its_place(error: Exception) -> None:
-    with noting() as notices:
+    with collect_notices() as notices:
         said = attempt("a picture", fails(error), lambda notice: notice)
     assert notices == [said]
     assert str(said).startswith(f"a picture is not drawn: {type(error).__name__}")
@@ -562,9 +564,9 @@ def test_an_interruption_is_no_failed_picture() -> None:
 
 def test_notices_are_collected_once_each_and_only_where_somebody_asks() -> None:
     note("nobody listens")
-    with noting() as outer:
+    with collect_notices() as outer:
         note("a")
-        with noting() as inner:
+        with collect_notices() as inner:
             note("b")
             note("b")
         note("c")
@@ -572,9 +574,9 @@ def test_notices_are_collected_once_each_and_only_where_somebody_asks() -> None:
 
 
 def test_a_reason_is_one_printable_line_of_bounded_length() -> None:
-    with noting() as notices:
+    with collect_notices() as notices:
         attempt("it", fails(ValueError("x" * 10_000 + "\n\x1b[31m\x00")), lambda notice: None)
-    assert notices[0].isprintable() and len(notices[0]) < LONGEST_REASON + 100
+    assert notices[0].isprintable() and len(notices[0]) < LONGEST_NOTICE + 100
     assert "test_bad_pictures.py:" in notices[0]
 
 
@@ -590,8 +592,8 @@ def test_names_that_utf_8_has_not_are_written_somehow(
 def test_a_thinned_scene_keeps_the_flagged_rows_and_says_so(
     outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.pages.drawing.thinned.MOST_DRAWN", 20)
-    monkeypatch.setattr("aridcal.pages.drawing.thinned.SOUND_DRAWN", 4)
+    monkeypatch.setattr("aridcal.pages.drawing.drawn_rows.MOST_DRAWN", 20)
+    monkeypatch.setattr("aridcal.pages.drawing.drawn_rows.SOUND_DRAWN", 4)
     odd = np.isin(np.arange(len(outcome.outlier)), [1, 2, 5, 7, len(outcome.outlier) - 1])
     drawn = scene.scene(replace(outcome, outlier=odd))
     assert sorted(drawn.line[drawn.outlier].tolist()) == sorted(outcome.measurements.origin.line[odd].tolist())

@@ -25,7 +25,7 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.calibrate.verdict import Verdict
 from aridcal.pages import certificate as module
-from aridcal.pages.certificate import FILES, certificate, write_certificate
+from aridcal.pages.certificate import CERTIFICATE_FILES, certificate, write_certificate
 from aridcal.pages.drawing.html import join
 from aridcal.pages.drawing.one_page import OnePage, as_html
 from aridcal.pages.report.iso_section import iso
@@ -148,8 +148,8 @@ def test_a_tolerance_stands_among_the_figures_whether_it_is_kept_or_not(
     outcome: Outcome, folder: Path, reasons: tuple[str, ...], answer: str
 ) -> None:
     assert outcome.certainty is not None
-    first, *others = outcome.certainty.kept
-    asked = replace(outcome.certainty, kept=(replace(first, tolerance=2e-4, reasons=reasons), *others))
+    first, *others = outcome.certainty.tolerances
+    asked = replace(outcome.certainty, tolerances=(replace(first, tolerance=2e-4, reasons=reasons), *others))
     headline = dict(page_of(replace(outcome, certainty=asked), folder).headline)
     assert headline["Tolerance of position"].startswith(f"0.200 mm: {answer}")
     assert not any(name.startswith("Tolerance") for name, _ in page_of(outcome, folder).headline)
@@ -271,7 +271,7 @@ def test_the_command_writes_both_files_and_their_hashes_are_those_of_the_files(
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())  # a mark that is not part of the text
     assert identify_main([str(path), "--out", str(out)]) == 0
     assert f"certificate: {out / 'certificate.pdf'}\n" in capsys.readouterr().out
-    assert set(FILES) <= RESULT_FILES  # none outlives a result without `about`
+    assert set(CERTIFICATE_FILES) <= RESULT_FILES  # none outlives a result without `about`
     said = html.fromstring((out / "certificate.html").read_bytes()).text_content()
     named = [path, tmp_path / "robot.urdf", tmp_path / "measurements.csv", *(out / name for name in module.HASHED)]
     for file in named:

@@ -9,11 +9,12 @@ import pytest
 from lxml import etree
 from markupsafe import Markup
 
-from aridcal.pages.drawing.fields import LEVELS, SQUARES, color_steps, field
+from aridcal.pages.drawing.drawn_rows import MOST_DRAWN, SOUND_DRAWN, drawn_rows
+from aridcal.pages.drawing.fields import LEVELS, SQUARES_A_SIDE, color_steps, field
 from aridcal.pages.drawing.figures import (
     COLOURS,
     Trend,
-    banded,
+    banded_curves,
     correlogram,
     coverage,
     curve,
@@ -21,10 +22,9 @@ from aridcal.pages.drawing.figures import (
     histogram,
     panels,
 )
-from aridcal.pages.drawing.html import noting
-from aridcal.pages.drawing.plot import Area, Named, Scale, along, legend, scale, written
-from aridcal.pages.drawing.thinned import MOST_DRAWN, SOUND_DRAWN, thinned
-from aridcal.pages.drawing.timelines import Stretch, sparkline, timeline
+from aridcal.pages.drawing.html import collect_notices
+from aridcal.pages.drawing.plot import Area, LegendEntry, Scale, along, legend, scale, tick_texts
+from aridcal.pages.drawing.timelines import TimeStretch, sparkline, timeline
 
 RNG = np.random.default_rng(0)
 HOSTILE = """<b onclick="x">&'"""
@@ -83,7 +83,7 @@ def test_one_value_and_none_at_all_have_a_scale() -> None:
     for value in (0.0, 1e-300, -4.0, 1e12):
         ends = scale(np.array([value, value]), 0.05)
         assert ends.low < value < ends.high
-    assert written(np.array([0.0]), 1.0) == ["0"]
+    assert tick_texts(np.array([0.0]), 1.0) == ["0"]
 
 
 def test_a_line_breaks_where_values_are_missing() -> None:
@@ -93,7 +93,7 @@ def test_a_line_breaks_where_values_are_missing() -> None:
 
 
 def test_a_legend_takes_as_many_lines_as_it_needs() -> None:
-    entries = [Named("a name of some length", "red") for _ in range(4)]
+    entries = [LegendEntry("a name of some length", "red") for _ in range(4)]
     one, high = legend(entries[:1], 0.0, 310.0)
     four, higher = legend(entries, 0.0, 310.0)
     assert one.count("<circle") == 1 and four.count("<circle") == 4
@@ -152,7 +152,7 @@ def test_histograms_show_shares_of_each_and_count_the_wild_in_the_last_bin() -> 
 def test_curves_and_their_bands_stand_where_the_ticks_say() -> None:
     at = np.array([10.0, 20.0, 50.0, 80.0])
     value = np.array([4.0, 2.0, np.nan, 1.0])
-    drawn = banded(
+    drawn = banded_curves(
         "k", "alt", at, {"one": np.column_stack([value, value - 0.5, value + 0.5])}, ("rows", "x [mm]"), None
     )
     across, down = ticks(drawn)
@@ -170,7 +170,7 @@ def test_curves_and_their_bands_stand_where_the_ticks_say() -> None:
 def test_times_are_named_by_months_or_days_and_a_change_is_marked_between_its_ends(days: float) -> None:
     day = 19_000.0 + np.linspace(0.0, days, 9)
     value = np.linspace(-1.0, 1.0, 9)
-    marked = Stretch(day[2], day[5], HOSTILE)
+    marked = TimeStretch(day[2], day[5], HOSTILE)
     drawn = timeline("k", "alt", day, value, np.full(9, 0.1), "zero [mrad]", [marked])
     dated = [t for t in svg(drawn).iter("text") if re.fullmatch(r"\d{4}-\d{2}(-\d{2})?", t.text or "")]
     assert 1 <= len(dated) <= 5
@@ -209,7 +209,7 @@ def test_hostile_words_stay_words_in_every_figure() -> None:
     x = np.linspace(0.0, 1.0, 20)
     t = Trend(x, x, x + 1, x, x)
     two = {HOSTILE: x, "b": x}
-    with noting() as notices:
+    with collect_notices() as notices:
         drawn = [
             histogram("a", HOSTILE, two, HOSTILE),
             panels("b", HOSTILE, x, two, (HOSTILE, HOSTILE), {HOSTILE: t, "b": t}),
@@ -226,7 +226,7 @@ def test_hostile_words_stay_words_in_every_figure() -> None:
             ),
             falling("e", HOSTILE, x, {HOSTILE: x + 1}, (HOSTILE, HOSTILE)),
             curve("f", HOSTILE, x, x, x, (x, x), (HOSTILE, HOSTILE), winding=True),
-            banded("g", HOSTILE, x, {HOSTILE: np.column_stack([x, x, x])}, (HOSTILE, HOSTILE), None),
+            banded_curves("g", HOSTILE, x, {HOSTILE: np.column_stack([x, x, x])}, (HOSTILE, HOSTILE), None),
             timeline("h", HOSTILE, x, x, x, HOSTILE),
         ]
     assert notices == []
@@ -238,7 +238,7 @@ def test_hostile_words_stay_words_in_every_figure() -> None:
 
 
 def test_a_figure_of_nothing_is_a_line_in_its_place() -> None:
-    with noting() as notices:
+    with collect_notices() as notices:
         drawn = histogram("k", "alt", {"a": np.zeros(0), "b": np.zeros(0)}, "x")
     assert len(notices) == 1 and "the figure 'k'" in notices[0] and 'class="missing"' in drawn
 
@@ -305,7 +305,7 @@ def test_squares_of_a_field_are_those_of_pairs() -> None:
     """Each square has one number; the slow road sorts pairs."""
     for k in range(20):
         points = RNG.normal(size=(500, 2)) * [1.0, 10.0 ** (k / 5 - 2)] + 5.0 * RNG.normal(size=2)
-        side = float(np.ptp(points, axis=0).max()) / SQUARES
+        side = float(np.ptp(points, axis=0).max()) / SQUARES_A_SIDE
         squares = np.unique(np.floor(points / side), axis=0)
         drawn = colors_of(field("k", "alt", points, np.ones(500), ("x", "y"), "mm", color_steps(np.ones(500))))
         assert sum(drawn.values()) == len(squares)
@@ -328,7 +328,7 @@ def test_of_too_many_rows_the_flagged_ones_stay(rows: int, flagged: int, said: s
     """A gross outlier among a million rows is what somebody looks for: it must not fall between every 200th."""
     odd = np.zeros(rows, dtype=bool)
     odd[RNG.choice(rows, flagged, replace=False)] = True
-    drawn, words = thinned(odd)
+    drawn, words = drawn_rows(odd)
     assert words == said
     assert (np.diff(drawn) > 0).all() and len(drawn) <= MOST_DRAWN + SOUND_DRAWN
     assert flagged > MOST_DRAWN or odd[drawn].sum() == flagged

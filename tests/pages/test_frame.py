@@ -26,9 +26,9 @@ from aridcal.jobs.calibrate.folder import result_document
 from aridcal.jobs.calibrate.joint_zeros import joint_zeros, zero_of
 from aridcal.jobs.calibrate.outcome import Outcome, Verification
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.pages.drawing.frame import Section, card, empty_page, filled, framed_page
 from aridcal.pages.drawing.html import table, tag
 from aridcal.pages.drawing.one_page import OnePage, Part, as_html
+from aridcal.pages.drawing.page_frame import Section, card, empty_page, filled, framed_page
 from aridcal.pages.report.first_screen import in_controller
 from aridcal.pages.report.page import page, write_report
 from aridcal.system.wording import number, plus_minus

@@ -10,7 +10,7 @@ from lxml import html
 from markupsafe import Markup
 
 from aridcal.pages.drawing.html import bullets, join, table, tag
-from aridcal.system.wording import counted, fixed, number, plus_minus
+from aridcal.system.wording import fixed, number, plural, plus_minus
 
 HOSTILE = """<img src=x onerror="alert('1')"> & </td><script>alert(1)</script>"""
 
@@ -87,5 +87,5 @@ def test_zero_has_no_sign() -> None:
 
 
 def test_one_thing_is_not_many() -> None:
-    assert counted(1, "row") == "1 row"
-    assert counted(1495, "row") == "1,495 rows"
+    assert plural(1, "row") == "1 row"
+    assert plural(1495, "row") == "1,495 rows"

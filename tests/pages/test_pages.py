@@ -14,8 +14,8 @@ import shot_campaigns
 from scipy.spatial.transform import Rotation
 
 from aridcal.identify import main as identify
-from aridcal.pages.drawing.frame import card, framed_page, sections
 from aridcal.pages.drawing.html import bullets, table, tag
+from aridcal.pages.drawing.page_frame import card, framed_page, sections
 
 LOUD = """(() => {
   const wide = (e) => e.getBoundingClientRect().right > innerWidth + 1 && !e.closest(".scroll, figure");

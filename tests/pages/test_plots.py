@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import aridcal
-from aridcal.pages.drawing.plots import AFTER, BEFORE, plots_of_table
+from aridcal.pages.drawing.notebook_plots import AFTER, BEFORE, plots_of_table
 
 
 @pytest.fixture(scope="module")

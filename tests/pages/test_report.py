@@ -20,13 +20,13 @@ from markupsafe import Markup
 from rich.console import Console
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS, Barred
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, UntestableEffect
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.robot.doty import doty_links
 from aridcal.engine.rows.remarks import Remark
 from aridcal.engine.search.noise_tests import Clue
-from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
+from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect, RejectedEffect
 from aridcal.engine.trust.halves import Halves
 from aridcal.identify import summary as print_summary
 from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exports
@@ -498,8 +498,8 @@ def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: C
     named = NamedEffect(effect, False, 1e-300, before, before / 4, outcome.stages[1].residual, (other,), (curve,))
     found = Diagnosis(
         (named,),
-        (Rejected(other, 0.2, 1.0, "too small <b>"),),
-        (Barred("thermal", "no <i>"),),
+        (RejectedEffect(other, 0.2, 1.0, "too small <b>"),),
+        (UntestableEffect("thermal", "no <i>"),),
         77,
         (Clue("order", "white?", 0.1, 0.5),),
     )
@@ -514,7 +514,7 @@ def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: C
     assert or_as_well(replace(named, confounded_with=five * 2)).endswith(f"thermal at {five[2].where} and 2 more")
     assert table(report, "Gain of each effect") == [
         [
-            f"joint_gain at {name}{KINDS['joint_gain'].words}",
+            f"joint_gain at {name}{EFFECT_KINDS['joint_gain'].words}",
             "axis",
             name,
             "found",
@@ -565,11 +565,14 @@ def test_each_effect_has_its_line_between_the_geometry_and_the_whole(
     assert [float(bar.xpath(".//i/@style")[0][6:-1]) for bar in bars] == pytest.approx([100, 75, 50, 25], abs=0.1)
     first = text(report, "//header")
     assert "9 more" not in first
-    assert f"31 % joint_gain at {names[0]} ({KINDS['joint_gain'].words})" in first  # 0.75^2 - 0.5^2
+    assert f"31 % joint_gain at {names[0]} ({EFFECT_KINDS['joint_gain'].words})" in first  # 0.75^2 - 0.5^2
     confounded = replace(effects[0], confounded_with=(effects[1].effect,))
     diagnosis = Diagnosis((confounded, effects[1]), (), (), 0, ())
     first = text(page(replace(outcome, stages=stages, diagnosis=diagnosis), handover), "//header")
-    assert f"31 % joint_gain at {names[0]} ({KINDS['joint_gain'].words}, or as well joint_gain at {names[1]})" in first
+    assert (
+        f"31 % joint_gain at {names[0]} ({EFFECT_KINDS['joint_gain'].words}, or as well joint_gain at {names[1]})"
+        in first
+    )
 
 
 # ---- hostile names --------------------------------------------------------------------------------------------------

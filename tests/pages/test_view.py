@@ -31,7 +31,7 @@ from aridcal.engine.robot.chain import Robot, load_robot, parse_robot
 from aridcal.engine.robot.link_shapes import find_mesh
 from aridcal.engine.robot.meshes import TRIANGLES, weld
 from aridcal.pages.drawing.robot_shapes import robot_shapes
-from aridcal.pages.drawing.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, scene_page
+from aridcal.pages.drawing.scene import LADDER, MOST_SCENE_ROWS, VIRIDIS, Scene, body_poses, scene_content, scene_page
 from aridcal.view import main
 
 ROOT = Path(aridcal.__file__).parents[1]
@@ -333,11 +333,11 @@ def test_ten_thousand_rows_make_a_page_of_few_megabytes() -> None:
     text = scene_page(scene)
     content = embedded(text)
     assert len(text) < 3e6
-    assert len(content["rows"]) == ROWS == len(set(content["rows"]))
+    assert len(content["rows"]) == MOST_SCENE_ROWS == len(set(content["rows"]))
     assert content["rows"][0] == 0
     assert content["rows"][-1] == 11_999
     assert len(unpack(content["measured"])) == 36_000
-    poses = unpack(content["poses"][1]).reshape(ROWS, content["bodies"], 7)
+    poses = unpack(content["poses"][1]).reshape(MOST_SCENE_ROWS, content["bodies"], 7)
     bodies = sorted({s.joint for s in robot_shapes(scene.nominal)[0]})
     row = scene.readings[content["rows"][17]][None]
     expected = body_poses(scene.calibrated, row)[0, bodies]

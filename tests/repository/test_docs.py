@@ -19,7 +19,7 @@ import yaml
 from repository import ROOT
 
 from aridcal.__main__ import COMMANDS
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.files.campaign import Campaign
 
 DOCS = ROOT / "docs"
@@ -77,8 +77,8 @@ def test_the_code_that_conventions_show_for_an_equation_is_there():
 
 def test_every_kind_of_effect_has_its_paragraph_and_its_picture():
     text = (DOCS / "effects.md").read_text("utf-8")
-    of_instruments = [kind for kind in KINDS if KINDS[kind].doc == "of-instruments"]
-    for kind in (kind for kind in KINDS if kind not in of_instruments):
+    of_instruments = [kind for kind in EFFECT_KINDS if EFFECT_KINDS[kind].doc == "of-instruments"]
+    for kind in (kind for kind in EFFECT_KINDS if kind not in of_instruments):
         assert f"### `{kind}`\n![" in text, kind
         assert (DOCS / "images" / "effects" / f"{kind}.png").stat().st_size < 30_000
     assert [kind for kind in of_instruments if f"| `{kind}` |" not in text] == []

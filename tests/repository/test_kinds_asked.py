@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 
 import aridcal
-from aridcal.engine.instruments.kind import Kind
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kind import MeasurementKind
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 
 PACKAGE = Path(aridcal.__file__).parent
 
 PLAIN = {"camera_sonar", "pixels", "inclination"}
 """Names with which nothing else is compared: other kinds share theirs with channels, roles of things and columns."""
 
-CHANNELS = {channel.name for kind in KINDS.values() for channel in kind.channels}
+CHANNELS = {channel.name for kind in MEASUREMENT_KINDS.values() for channel in kind.channels}
 
 OTHER_KINDS = {
     "jobs/apply/programs/urscript": "kinds of tokens",
@@ -40,7 +40,7 @@ def words(node: ast.AST | None, bound: dict[str, set[str]]) -> set[str]:
         return set()
     inside = list(ast.walk(node))
     own = {n.value for n in inside if isinstance(n, ast.Constant) and isinstance(n.value, str)}
-    return (own & KINDS.keys()).union(*(bound.get(n.id, set()) for n in inside if isinstance(n, ast.Name)))
+    return (own & MEASUREMENT_KINDS.keys()).union(*(bound.get(n.id, set()) for n in inside if isinstance(n, ast.Name)))
 
 
 def is_kind(node: ast.AST) -> bool:
@@ -57,7 +57,9 @@ def rows_imported(tree: ast.AST) -> Iterator[tuple[int, str]]:
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("aridcal.engine.instruments."):
             there = importlib.import_module(str(node.module))
-            yield from ((node.lineno, a.name) for a in node.names if isinstance(getattr(there, a.name, None), Kind))
+            yield from (
+                (node.lineno, a.name) for a in node.names if isinstance(getattr(there, a.name, None), MeasurementKind)
+            )
 
 
 def questions(source: str) -> list[tuple[int, str]]:
@@ -84,7 +86,7 @@ def questions(source: str) -> list[tuple[int, str]]:
             found += [(node.lineno, ", ".join(sorted(said)))] if said else []
         elif isinstance(node, (ast.Tuple, ast.List, ast.Set, ast.Dict)) and id(node) not in typed:
             each = node.keys if isinstance(node, ast.Dict) else node.elts
-            said = {e.value for e in each if isinstance(e, ast.Constant) and e.value in KINDS}
+            said = {e.value for e in each if isinstance(e, ast.Constant) and e.value in MEASUREMENT_KINDS}
             sentences = isinstance(node, ast.Dict) and all(
                 isinstance(v, ast.Constant) and " " in str(v.value) for v in node.values
             )
@@ -94,7 +96,9 @@ def questions(source: str) -> list[tuple[int, str]]:
 
 
 def test_no_module_outside_instruments_asks_for_a_kind_by_its_name() -> None:
-    named = re.compile("|".join([*(f"[\"']{name}[\"']" for name in KINDS), r"aridcal\.engine\.instruments\."]))
+    named = re.compile(
+        "|".join([*(f"[\"']{name}[\"']" for name in MEASUREMENT_KINDS), r"aridcal\.engine\.instruments\."])
+    )
     sources = {str(path.relative_to(PACKAGE)): path.read_text("utf-8") for path in MODULES}
     found = {path: questions(source) for path, source in sources.items() if named.search(source)}
     assert {path: asked for path, asked in found.items() if asked} == {}

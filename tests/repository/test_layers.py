@@ -120,6 +120,20 @@ def test_modules_import_only_what_lies_below_them() -> None:
     assert found == []
 
 
+def test_no_two_rooms_have_a_module_of_one_name() -> None:
+    """Languages of programs have the same modules on purpose; a plural counts as its singular."""
+    rooms: dict[str, set[Path]] = {}
+    for path in MODULES:
+        inside = path.relative_to(PACKAGE)
+        if (
+            path.name != "__init__.py"
+            and path.parent != PACKAGE
+            and "/".join(inside.parts[:-2]) != "jobs/apply/programs"
+        ):
+            rooms.setdefault(path.stem.removesuffix("s"), set()).add(inside.parent)
+    assert {stem: places for stem, places in rooms.items() if len(places) > 1} == {}
+
+
 def test_every_module_has_one_place_and_every_place_a_module() -> None:
     there = {name for path in MODULES if (name := name_of(path)) in PLACE or path.name != "__init__.py"}
     assert sum(len(modules) for _, modules in HOUSE) == len(PLACE)

@@ -31,7 +31,7 @@ ON_REQUEST = {
     "distributed": ("fleet", "jobs/fleet/cluster.py"),
     "duckdb": ("fleet", "jobs/history/store.py"),
     "rosbags": ("ros", "jobs/merge/bags.py"),
-    "robot_descriptions": ("xacro", "engine/robot/named.py"),
+    "robot_descriptions": ("xacro", "engine/robot/described_robots.py"),
     "xacrodoc": ("xacro", "engine/robot/expand.py"),
 }
 """Modules of extras: which brings each, and the only file that imports it, inside of functions."""

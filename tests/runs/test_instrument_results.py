@@ -24,11 +24,11 @@ import aridcal
 from aridcal.calibration import Calibration
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import columns, spread
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.identify import summary
 from aridcal.jobs.calibrate.folder import residual_table, result_document
-from aridcal.jobs.calibrate.instrument_results import known_scale, scale_std, thing_values
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma, scale_std, thing_values
 from aridcal.jobs.calibrate.outcome import Outcome, leading
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.pages.drawing.html import join, tag
@@ -331,7 +331,7 @@ def test_a_pixel_is_at_the_target_its_distance_over_the_focal_length() -> None:
 
 def test_points_without_a_known_length_have_no_scale_and_all_pages_say_so() -> None:
     outcome = found("loose")
-    assert known_scale(outcome.measurements) == np.inf
+    assert known_scale_sigma(outcome.measurements) == np.inf
     screen = io.StringIO()
     summary(outcome, Console(file=screen, width=200))
     assert "scale: unknown" in screen.getvalue()
@@ -341,13 +341,13 @@ def test_points_without_a_known_length_have_no_scale_and_all_pages_say_so() -> N
 
 def test_known_lengths_tell_the_scale_by_their_sigma_over_their_length() -> None:
     rows = found("point").measurements
-    assert known_scale(rows) == pytest.approx(1e-5 / gauges.SPACING / np.sqrt(3))
+    assert known_scale_sigma(rows) == pytest.approx(1e-5 / gauges.SPACING / np.sqrt(3))
     one = replace(rows, instruments=replace(rows.instruments, ties=rows.instruments.ties[:1]))
-    assert known_scale(one) == pytest.approx(1e-5 / gauges.SPACING)
+    assert known_scale_sigma(one) == pytest.approx(1e-5 / gauges.SPACING)
     assert re.search(r"± 0\.12 mm per m", section("point"))
-    assert known_scale(found("distance").measurements) == known_scale(found("mixed").measurements) == 0.0
-    assert known_scale(found("pixels").measurements) == 0.0
-    assert known_scale(found("inclination").measurements) is None
+    assert known_scale_sigma(found("distance").measurements) == known_scale_sigma(found("mixed").measurements) == 0.0
+    assert known_scale_sigma(found("pixels").measurements) == 0.0
+    assert known_scale_sigma(found("inclination").measurements) is None
 
 
 def test_a_target_that_is_known_worse_than_the_rows_agree_is_said_to_be_consistent_not_accurate() -> None:
@@ -376,7 +376,7 @@ def test_a_saved_calibration_predicts_the_target_of_the_outcome(name: str, tmp_p
         with pytest.raises(AridcalError, match="several targets"):
             saved.predict(queries)
         queries["target"] = m.labels.target[rows]
-    roles = KINDS[m.blocks[0].kind].roles
+    roles = MEASUREMENT_KINDS[m.blocks[0].kind].roles
     labels = {role.name: m.labels.refers[rows, k] for k, role in enumerate(roles)}
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a table that was measured may be asked about as it is
@@ -470,7 +470,7 @@ def test_every_thing_stands_in_the_report_with_its_rows_and_its_own_residual(nam
     m = outcome.measurements
     first = {b: outcome.channels[k] for b, k in enumerate(leading(m))}
     for b, block in enumerate(m.blocks):
-        for k, role in enumerate(KINDS[block.kind].roles):
+        for k, role in enumerate(MEASUREMENT_KINDS[block.kind].roles):
             lines = {
                 line[0].text_content(): [cell.text_content() for cell in line]
                 for line in html.fromstring(join(list(instruments(outcome)))).xpath(
@@ -508,7 +508,7 @@ def test_what_was_not_repeated_is_said_in_words_of_the_kind() -> None:
 
 
 def test_every_kind_of_instrument_says_what_it_cannot_tell_and_what_would() -> None:
-    assert set(BLIND) == set(MORE) == set(KINDS) - {"pose", "position", "camera_sonar"}
+    assert set(BLIND) == set(MORE) == set(MEASUREMENT_KINDS) - {"pose", "position", "camera_sonar"}
     assert "a known distance from another" in section("loose")
     assert "a longer known length" in section("point")
     assert "directions of gravity tell no place" in section("inclination")

@@ -19,7 +19,7 @@ from aridcal.engine.fit.constants import urdf_of
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import parse_robot
-from aridcal.engine.robot.splice import splice_origins, written_origins
+from aridcal.engine.robot.splice import origin_texts, splice_origins
 from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.files.read import load_measurements
 from aridcal.pages.drawing.scene import limb_names, limb_of, scene
@@ -37,7 +37,7 @@ def true_model(urdf: bytes, parameters: dict[str, float], base: str, tips: tuple
     for joint in (joint for tip in tips for joint in parse_robot(urdf, tip, base).joints):
         off = np.array([parameters.get(f"{joint.name}.{component}", 0.0) for component in COMPONENTS])
         origins[joint.name] = joint.origin * pin.SE3(pin.rpy.rpyToMatrix(off[3:]), off[:3])
-    return pin.buildModelFromXML(splice_origins(urdf, written_origins(urdf, origins)).decode())
+    return pin.buildModelFromXML(splice_origins(urdf, origin_texts(urdf, origins)).decode())
 
 
 def test_the_shipped_tables_of_two_arms_are_what_the_scenario_makes(tmp_path: Path) -> None:

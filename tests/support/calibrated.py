@@ -17,7 +17,7 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.least_squares import fit_identifiable
 from aridcal.engine.fit.stages import recentred
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
@@ -165,7 +165,7 @@ def by_instruments(
     del made["robot"]
     blocks = made["measurements"] if isinstance(made["measurements"], list) else [made["measurements"]]
     for block in blocks:
-        block["noise"] = {channel.name: SEEN[channel.name] for channel in KINDS[block["kind"]].channels}
+        block["noise"] = {channel.name: SEEN[channel.name] for channel in MEASUREMENT_KINDS[block["kind"]].channels}
         rows = robots.read_csv(folder / block["file"])
         rows[list(m.model.robot.readings)] -= offset
         rows.to_csv(folder / block["file"], index=False, float_format="%.17g")

@@ -15,7 +15,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.robot.chain import parse_robot
-from aridcal.engine.robot.splice import splice_origins, written_origins
+from aridcal.engine.robot.splice import origin_texts, splice_origins
 
 SIGMA = 1e-4
 """[m] and [rad] per axis."""
@@ -71,7 +71,7 @@ def as_built(text: bytes, root: str, ends: Sequence[str], seed: int = 0) -> two_
         for joint in parse_robot(text, end, root).joints:
             off = pin.SE3(Rotation.from_rotvec(rng.normal(0, 1e-3, 3)).as_matrix(), rng.normal(0, 1e-3, 3))
             origins.setdefault(joint.name, joint.origin * off)
-    made = splice_origins(text, written_origins(text, origins))
+    made = splice_origins(text, origin_texts(text, origins))
     return two_arms.Machine(pin.buildModelFromXML(made.decode()), shoulders=())
 
 

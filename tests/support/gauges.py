@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.instruments.kind import Role
-from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS, labelled
 from aridcal.engine.instruments.pose import TRACKER
 from aridcal.engine.instruments.setup import Block, Instruments, Things, Tie
 from aridcal.engine.model.model import Model
@@ -25,7 +25,7 @@ from aridcal.engine.rows.row_facts import ROLES, Labels
 from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.jobs.calibrate import job_inputs, pipeline
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.jobs.head1992.observations import Read
+from aridcal.jobs.head1992.observations import CampaignRows
 
 NOISE = {"position": 1e-4, "distance": 5e-5, "pixel": 0.2, "inclination": 2e-4, "rotation": 2e-4}
 SIZE = 5e-4
@@ -175,10 +175,13 @@ def _read(
 ) -> Measured:  # fmt: skip
     """What an instrument with noise reads of the true poses: less its residual at a reading of nothing."""
     R, p = of.poses(q, target)
-    own = [np.array([states[role.name][label] for label in refers[:, k]]) for k, role in enumerate(KINDS[kind].roles)]
+    own = [
+        np.array([states[role.name][label] for label in refers[:, k]])
+        for k, role in enumerate(MEASUREMENT_KINDS[kind].roles)
+    ]
     nothing = np.zeros((len(q), numbers))
-    exact = -KINDS[kind].residual(R, p, nothing, own)
-    noise = NOISE[KINDS[kind].channels[0].name]
+    exact = -MEASUREMENT_KINDS[kind].residual(R, p, nothing, own)
+    noise = NOISE[MEASUREMENT_KINDS[kind].channels[0].name]
     return Measured(kind, q, exact + noise * of.rng.normal(size=exact.shape), refers, states)
 
 
@@ -216,21 +219,22 @@ def rows(of: Arm, *blocks: Measured, declared: bool = False) -> Dataset:
     made, channels, sigma = [], [], []
     things: dict[str, Things] = {}
     names = [b.kind for b in blocks]
-    several = [c.name for b in blocks for c in KINDS[b.kind].channels]
+    several = [c.name for b in blocks for c in MEASUREMENT_KINDS[b.kind].channels]
     for k, b in enumerate(blocks):
         own = block == k
         observed[own, : b.observed.shape[1]] = b.observed
         refers[own, : b.refers.shape[1]] = b.refers
         name = b.kind if names.count(b.kind) == 1 else f"{b.kind}_{k}"
         mine = tuple(
-            c if several.count(c.name) == 1 else replace(c, name=f"{name}_{c.name}") for c in KINDS[b.kind].channels
+            c if several.count(c.name) == 1 else replace(c, name=f"{name}_{c.name}")
+            for c in MEASUREMENT_KINDS[b.kind].channels
         )
-        stated = tuple(NOISE[c.name] if declared else None for c in KINDS[b.kind].channels)
+        stated = tuple(NOISE[c.name] if declared else None for c in MEASUREMENT_KINDS[b.kind].channels)
         made.append(Block(name, b.kind, mine, stated))
         channels += mine
         sigma += stated
         things |= {role.name: _things(role, b.states[role.name]) for role in labelled(b.kind)}
-        if KINDS[b.kind].roles == (TRACKER,):
+        if MEASUREMENT_KINDS[b.kind].roles == (TRACKER,):
             refers[own, 0] = name
             others = things[TRACKER.name].names if TRACKER.name in things else ()
             things[TRACKER.name] = _trackers((*others, name))
@@ -279,5 +283,5 @@ def outcome(folder: Path, of: Arm, data: Dataset, **changes: object) -> Outcome:
     """The rows through the whole pipeline, as if they had been read from a file."""
     job = campaign(folder, of, data, **changes)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(job_inputs, "read_rows", lambda job, *_: Read(job, data))
+        patched.setattr(job_inputs, "read_rows", lambda job, *_: CampaignRows(job, data))
         return pipeline.identify(job)

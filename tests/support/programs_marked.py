@@ -14,11 +14,11 @@ from made_gcode import gantry
 from program_attacks import Attack
 from robots import ur10
 
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import read_frames
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import LANGUAGES, language_of
-from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.project import Project, SourceFile
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.system.errors import AridcalError
 
@@ -82,7 +82,7 @@ def project_of(files: Mapping[str, str]) -> tuple[Language, Project, dict[int, l
     language = next(language for name in files if (language := language_of(Path(name))) is not None)
     ours = {name: language_of(Path(name)) is language and not name.startswith("$") for name in files}
     order = sorted(files, key=lambda name: not ours[name])
-    sources = tuple(Source(Path(name), texts[name][0], ours[name]) for name in order)
+    sources = tuple(SourceFile(Path(name), texts[name][0], ours[name]) for name in order)
     return language, Project(sources), {k: texts[name][1] for k, name in enumerate(order)}
 
 
@@ -90,7 +90,7 @@ def wrong(files: Mapping[str, str], frames: str = "") -> list[str]:
     """What of a marked project is not as its marks say; nothing if all is right."""
     language, project, marks = project_of(files)
     try:
-        reading: Reading = language.read(project, cell_of(language, frames))
+        reading: ProgramReading = language.read(project, cell_of(language, frames))
     except AridcalError as error:
         return [f"must be corrected, but: {error}" for own in marks.values() for mark in own if mark.corrected]
     corrected = [t for t in reading.targets if not t.why]

@@ -17,7 +17,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.problem import Problem, problem
-from aridcal.engine.model.model import Frames, Model
+from aridcal.engine.model.model import LabelledFrames, Model
 from aridcal.engine.robot.chain import Robot, load_robot, parse_robot
 from aridcal.engine.rows.dataset import Dataset, dataset, with_places, with_sigma
 from aridcal.files.campaign import Campaign
@@ -158,7 +158,10 @@ def simulate(
 ) -> Truth:
     """Measure a robot whose constants are off by ``size`` [m, rad], with noise per axis [m, rad]."""
     coefficients = constants(robot, which)
-    frames: tuple[Frames, Frames] = (((None, world or pin.SE3.Identity()),), ((None, tip or pin.SE3.Identity()),))
+    frames: tuple[LabelledFrames, LabelledFrames] = (
+        ((None, world or pin.SE3.Identity()),),
+        ((None, tip or pin.SE3.Identity()),),
+    )
     model = Model(robot, coefficients, *frames)
     theta = rng.normal(0.0, size, len(coefficients))
     q = readings(robot, n, rng)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.engine.instruments.camera import DOTY_OPENCV
 from aridcal.engine.instruments.camera_sonar import predict_ranges
-from aridcal.jobs.head1992.render import Scene, render
+from aridcal.jobs.head1992.render import ImageAppearance, render
 from aridcal.jobs.head1992.square import INCH, strip_placements
 from aridcal.measure import main
 
@@ -70,7 +70,7 @@ class Campaign:
     def look(self, k: int, square: int, T: np.ndarray) -> dict[str, float]:
         seen = {i: T @ np.linalg.inv(self.squares[square]) @ S for i, S in self.squares.items()}
         rng = np.random.default_rng(100 + k)
-        cv2.imwrite(str(self.folder / f"images/{k}.png"), render(seen, INTRINSICS, 512, 512, Scene(), rng))
+        cv2.imwrite(str(self.folder / f"images/{k}.png"), render(seen, INTRINSICS, 512, 512, ImageAppearance(), rng))
         h = predict_ranges(T, CORNERS, "perpendicular")[0] + 2.5e-4 * rng.normal(size=4)
         return {f"h{i + 1}": value for i, value in enumerate(h)}
 

@@ -15,7 +15,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.robot.chain import parse_robot
-from aridcal.engine.robot.splice import splice_origins, written_origins
+from aridcal.engine.robot.splice import origin_texts, splice_origins
 
 AXES = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
 STEPS = ("0 {y} 0.3", "0 0.02 0", "0.3 0 0.02", "0.05 0.01 0", "0.3 0 0.02", "0.05 0.01 0")
@@ -55,7 +55,7 @@ def real(seed: int) -> bytes:
         for joint in parse_robot(urdf(), tip, "torso").joints:
             off = pin.SE3(Rotation.from_rotvec(rng.normal(0, 1e-3, 3)).as_matrix(), rng.normal(0, 1e-3, 3))
             origins[joint.name] = joint.origin * off
-    return splice_origins(urdf(), written_origins(urdf(), origins))
+    return splice_origins(urdf(), origin_texts(urdf(), origins))
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from rich.table import Table
 
 from aridcal.__main__ import main
 from aridcal.command_line import run, screens
-from aridcal.pages.drawing.frame import filled
 from aridcal.pages.drawing.html import tag
+from aridcal.pages.drawing.page_frame import filled
 from aridcal.pages.drawing.plot import text
 from aridcal.system.errors import AridcalError, printable_lines
-from aridcal.system.progress import told_on
+from aridcal.system.progress import console_progress
 from aridcal.system.writing.table_writer import write_table
 
 HOSTILE = "a\x1b[2J\x1b]0;title\x07b\x9bc\u2028d\re"
@@ -39,7 +39,7 @@ def test_no_command_prints_them(markup: bool, capsys: pytest.CaptureFixture[str]
             HOSTILE.replace("[", "\\[") if markup else HOSTILE, markup=markup, highlight=False, soft_wrap=True
         )
         console.print(table)
-    with told_on(aside) as progress:
+    with console_progress(aside) as progress:
         progress(f"reading {HOSTILE}")
     assert run(lambda: (_ for _ in ()).throw(AridcalError(HOSTILE))) == 2
     printed = capsys.readouterr()

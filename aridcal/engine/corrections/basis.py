@@ -200,7 +200,7 @@ def evaluate(basis: Basis, covariates: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.broadcast_to(values, next(iter(covariates.values())).shape)
 
 
-def evaluated(bases: Sequence[Basis], covariates: Mapping[str, np.ndarray]) -> np.ndarray:
+def values_of_bases(bases: Sequence[Basis], covariates: Mapping[str, np.ndarray]) -> np.ndarray:
     """Values of bases, shape (N, B); those of one form and the same covariates at once.
 
     Args:

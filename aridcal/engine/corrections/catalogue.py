@@ -11,17 +11,17 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.camera_sonar_kinds import CAMERA_SONAR_KINDS
 from aridcal.engine.corrections.condition_kinds import CONDITION_KINDS
 from aridcal.engine.corrections.effect import ROW_ORDER, Effect
-from aridcal.engine.corrections.effect_kind import Declaration, Kind, Observed
+from aridcal.engine.corrections.effect_kind import Declaration, EffectKind, ObservedRows
 from aridcal.engine.corrections.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.engine.corrections.joint_kinds import JOINT_KINDS
-from aridcal.engine.corrections.labels import MOST_LABELS, STATION
+from aridcal.engine.corrections.labels import LABEL_COLUMN, MOST_LABELS
 from aridcal.engine.corrections.regional_kind import REGIONAL, RESIDUAL_FIELD
 from aridcal.engine.corrections.unknown_kind import UNKNOWN
 from aridcal.system.errors import CampaignError, nearest
 
 _ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *CAMERA_SONAR_KINDS, REGIONAL, RESIDUAL_FIELD, UNKNOWN)
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in _ROWS}
+EFFECT_KINDS: dict[str, EffectKind] = {kind.name: kind for kind in _ROWS}
 """Every kind of effect, in the order in which they are tried: the only list of them."""
 
 CONSTANT_COLUMN = 1e-9
@@ -29,7 +29,7 @@ CONSTANT_COLUMN = 1e-9
 
 
 @dataclass(frozen=True)
-class Barred:
+class UntestableEffect:
     """A candidate that these data cannot test, and why."""
 
     what: str
@@ -38,42 +38,42 @@ class Barred:
 
 def is_of_head(kind: str) -> bool:
     """True for a kind of the measuring head."""
-    return KINDS[kind].of_head != ""
+    return EFFECT_KINDS[kind].of_head != ""
 
 
-def usable_columns(columns: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], list[Barred]]:
+def usable_columns(columns: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], list[UntestableEffect]]:
     """Measured columns that effects may depend on, and why the others may not."""
     good, barred = [], []
     for name, values in columns.items():
         empty = int(np.isnan(values).sum())
         if empty:
-            barred.append(Barred(f"effects of {name}", f"the column has {empty} empty cells"))
+            barred.append(UntestableEffect(f"effects of {name}", f"the column has {empty} empty cells"))
         elif np.ptp(values) <= CONSTANT_COLUMN * max(1.0, float(np.abs(values).max())):
-            barred.append(Barred(f"effects of {name}", "the column is constant"))
+            barred.append(UntestableEffect(f"effects of {name}", "the column is constant"))
         else:
             good.append(name)
     return tuple(good), barred
 
 
-def barred_joints(rows: Observed) -> list[Barred]:
+def barred_joints(rows: ObservedRows) -> list[UntestableEffect]:
     """Joints whose own effects cannot be tested."""
     still = [j.name for j in rows.robot.joints if not rows.moves(j)]
-    barred = [Barred(f"effects of {name}'s reading", "the joint never moves") for name in still]
+    barred = [UntestableEffect(f"effects of {name}'s reading", "the joint never moves") for name in still]
     loads = [values for name, values in rows.table.items() if ".gravity_" in name]
     if not loads:
         why = f"the column {' or '.join(rows.masses)} has empty cells"
-        barred.append(Barred("compliance and load-side backlash", why))
+        barred.append(UntestableEffect("compliance and load-side backlash", why))
     elif not (np.any(loads) or any(rows.robot.mass_beyond > 0)):
-        barred.append(Barred("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
+        barred.append(UntestableEffect("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
     return barred
 
 
-def candidates(rows: Observed, kinds: Iterable[str]) -> list[Effect]:
+def candidates(rows: ObservedRows, kinds: Iterable[str]) -> list[Effect]:
     """All effects of some kinds that these rows can test."""
-    return [effect for kind in kinds for effect in KINDS[kind].testable(rows)]
+    return [effect for kind in kinds for effect in EFFECT_KINDS[kind].testable(rows)]
 
 
-def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
+def declared(rows: ObservedRows, declaration: Declaration, place: str) -> Effect:
     """The effect that a campaign states.
 
     Args:
@@ -84,13 +84,13 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
     Raises:
         CampaignError: there is no such effect on this robot or with these columns.
     """
-    d, kind = declaration, KINDS[declaration.kind]
-    places = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.held))
+    d, kind = declaration, EFFECT_KINDS[declaration.kind]
+    places = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.stated_components))
     if d.where not in places:
         raise CampaignError(
             f"{place}: effects: no place {d.where!r}{nearest(d.where, places)}; {d.kind} acts at {kind.where}"
         )
-    if kind.of_head and d.where in {name for _, name in rows.held}:
+    if kind.of_head and d.where in {name for _, name in rows.stated_components}:
         return _at_thing(rows, d, place)
     if kind.of_order and d.order:
         effects = [effect for order in d.order for effect in kind.of_order(d, order)]
@@ -101,9 +101,10 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
         curves = [effect for effect in fitting if effect.smooth]  # they hold what the others can
         effects = curves or fitting
         effects = effects[:1] if kind.exclusive else effects
-    if not effects and d.by == STATION and len(rows.labels) < 2:
+    if not effects and d.by == LABEL_COLUMN and len(rows.labels) < 2:
         raise CampaignError(
-            f"{place}: effects: {d.kind} at {d.where} by {STATION} needs a column `{STATION}` with 2 to {MOST_LABELS} different "
+            f"{place}: effects: {d.kind} at {d.where} by {LABEL_COLUMN} needs a column `{LABEL_COLUMN}` with 2 to "
+            f"{MOST_LABELS} different "
             "labels; name it under measurements.columns"
         )
     if not effects:
@@ -115,7 +116,7 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
     return effect if d.at is None else _at_moment(rows, effect, d, place)
 
 
-def _at_thing(rows: Observed, d: Declaration, place: str) -> Effect:
+def _at_thing(rows: ObservedRows, d: Declaration, place: str) -> Effect:
     """The effect that a campaign states of an instrument: with the components that it names, or else the first that may be.
 
     Raises:
@@ -137,7 +138,7 @@ def _at_thing(rows: Observed, d: Declaration, place: str) -> Effect:
     return replace(at_place[0], coefficients=tuple(by_component[component] for component in d.motion))
 
 
-def _at_moment(rows: Observed, effect: Effect, d: Declaration, place: str) -> Effect:
+def _at_moment(rows: ObservedRows, effect: Effect, d: Declaration, place: str) -> Effect:
     """An effect whose step is at the row or time that a declaration gives.
 
     Raises:
@@ -190,7 +191,7 @@ def kinds_table() -> str:
     head = "| kind | acts at | what it is | functions | declared by |\n|---|---|---|---|---|\n"
     rows = [
         (f"[`{k.name}`](#{k.doc})", k.where, k.words, ", ".join(f"`{form}`" for form in k.bases), f"`{k.example}`")
-        for k in KINDS.values()
+        for k in EFFECT_KINDS.values()
     ]
     return head + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 

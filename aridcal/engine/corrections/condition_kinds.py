@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, ROW_ORDER, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, Observed, middle, slope
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, MOUNTING_FRAMES, ROW_ORDER, Coefficient, Effect
+from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows, rounded_mean, slope
 
 STANDING = {
     "anchor": ("x", "y", "z", "offset"),
@@ -20,7 +20,7 @@ STANDING = {
 }
 """What moves of a thing that was knocked. A marker that is off is named by its residual; a tracker that moves moves the base."""
 
-SIDE = 6
+FEWEST_ROWS_OF_A_SIDE = 6
 """Rows at the least on either side of a step: fewer are outliers, not a new state. A step of one thing is sought from
 four times as many configurations of it: twice those that tell a step in its midst."""
 
@@ -29,17 +29,17 @@ MOST_STEPPED = 24
 evidence."""
 
 
-def _thermal(rows: Observed) -> Iterator[Effect]:
+def _thermal(rows: ObservedRows) -> Iterator[Effect]:
     """Difference T - mean(T) for each motion of each place, of frames several together; of a rail also times its travel."""
     for column in rows.columns("temperature"):
-        mean = middle(rows.table[column])
+        mean = rounded_mean(rows.table[column])
         for j in rows.robot.joints:
             for component in ("axis", *FRAME_COMPONENTS):
                 yield Effect("thermal", j.name, (slope(j.name, component, column, mean),))
             if j.kind == "prismatic" and rows.moves(j):
                 growth = Basis("times_power", (column, j.name), (mean, 1.0, 1.0))
                 yield Effect("thermal", j.name, (Coefficient(j.name, "axis", growth),))
-        for where in FRAMES:
+        for where in MOUNTING_FRAMES:
             yield from _of_a_frame("thermal", where, column, mean)
 
 
@@ -52,18 +52,18 @@ def _of_a_frame(kind: str, where: str, column: str, mean: float) -> Iterator[Eff
         yield Effect(kind, where, coefficients)
 
 
-def _drift(rows: Observed) -> Iterator[Effect]:
+def _drift(rows: ObservedRows) -> Iterator[Effect]:
     """Difference t - mean(t) for each motion of a frame, for its shift, its turn and both, and for each joint's zero."""
     if "time" not in rows.measured:
         return
-    mean = middle(rows.table["time"])
-    for where in FRAMES:
+    mean = rounded_mean(rows.table["time"])
+    for where in MOUNTING_FRAMES:
         yield from _of_a_frame("drift", where, "time", mean)
     for j in rows.moving():
         yield Effect("drift", j.name, (slope(j.name, "axis", "time", mean),))
 
 
-def _shift(rows: Observed) -> Iterator[Effect]:
+def _shift(rows: ObservedRows) -> Iterator[Effect]:
     """Each frame, each joint's zero and each thing that stands around, half way through the rows: where is for the data to say.
 
     All motions of a frame that the rows can show: a target that slips turns, too. Of things only while there are few.
@@ -76,14 +76,16 @@ def _shift(rows: Observed) -> Iterator[Effect]:
     step = Basis("step", (of,), (float(values[half - 1 : half + 1].mean()),))
     frames = {"world_base": FRAME_COMPONENTS, "tip_target": FRAME_COMPONENTS if rows.orientations else ("x", "y", "z")}
     things = [
-        (where, STANDING[role]) for (role, where), n in rows.referred.items() if role in STANDING and n >= 4 * SIDE
+        (where, STANDING[role])
+        for (role, where), n in rows.referred.items()
+        if role in STANDING and n >= 4 * FEWEST_ROWS_OF_A_SIDE
     ]
     things = things if len(things) <= MOST_STEPPED else []
     for where, motion in (*frames.items(), *((j.name, ("axis",)) for j in rows.moving()), *things):
         yield Effect("shift", where, tuple(Coefficient(where, component, step) for component in motion))
 
 
-def _payload_compliance(rows: Observed) -> Iterator[Effect]:
+def _payload_compliance(rows: ObservedRows) -> Iterator[Effect]:
     """The payloads' torque about each axis; each payload itself for each motion of each joint."""
     masses = [name for name in rows.masses if name in rows.measured]
     for j in rows.robot.joints if masses else ():
@@ -95,7 +97,7 @@ def _payload_compliance(rows: Observed) -> Iterator[Effect]:
 
 
 CONDITION_KINDS = (
-    Kind(
+    EffectKind(
         "thermal",
         where="a joint, `world_base` or `tip_target`",
         words="it grows or shifts with temperature",
@@ -105,7 +107,7 @@ CONDITION_KINDS = (
         testable=_thermal,
         columns=lambda d: d.covariates or ("temperature",),
     ),
-    Kind(
+    EffectKind(
         "drift",
         where="`world_base`, `tip_target` or a joint",
         words="a frame or a zero that moved while these rows were measured",
@@ -115,7 +117,7 @@ CONDITION_KINDS = (
         testable=_drift,
         columns=lambda _: ("time",),
     ),
-    Kind(
+    EffectKind(
         "shift",
         where="`world_base`, `tip_target`, a joint, or a thing that rows refer to",
         words="it moved once, between two rows",
@@ -126,7 +128,7 @@ CONDITION_KINDS = (
         key="at",
         columns=lambda d: ("time",) if d.at is not None and d.at.time is not None else (),
     ),
-    Kind(
+    EffectKind(
         "payload_compliance",
         where="a joint",
         words="it yields under the payload",

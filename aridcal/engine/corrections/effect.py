@@ -12,11 +12,11 @@ from operator import attrgetter
 import numpy as np
 
 from aridcal.engine.corrections.basis import CONSTANT, Basis, basis_name
-from aridcal.engine.corrections.labels import STATION
-from aridcal.engine.corrections.smooth import Nodes, Part, Shape
+from aridcal.engine.corrections.labels import LABEL_COLUMN
+from aridcal.engine.corrections.smooth import Nodes, Shape, SmoothPart
 from aridcal.engine.robot.kinematics import transverse
 
-FRAMES = ("world_base", "tip_target")
+MOUNTING_FRAMES = ("world_base", "tip_target")
 """Where a mounting is, which every campaign has anew, and not the robot."""
 
 FRAME_COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -106,7 +106,7 @@ class Effect:
         functions = groupby(self.coefficients, attrgetter("component", "basis.of"))
         return tuple(self._samples([c.basis for c in group]) for _, group in functions)
 
-    def _samples(self, bases: Sequence[Basis]) -> Part:
+    def _samples(self, bases: Sequence[Basis]) -> SmoothPart:
         if bases[0].form == "ball":
             x, y, z, radii = np.array([basis.numbers for basis in bases]).T
             return Nodes(tuple(zip(*(np.round(of / radii, 9).tolist() for of in (x, y, z)), strict=True)))
@@ -125,7 +125,7 @@ class Effect:
     @property
     def covariates(self) -> tuple[str, ...]:
         """Columns it depends on, each once; none of what is the same in all rows."""
-        of = ((STATION,) if c.basis.form == "label" else c.basis.of for c in self.coefficients)
+        of = ((LABEL_COLUMN,) if c.basis.form == "label" else c.basis.of for c in self.coefficients)
         return tuple(dict.fromkeys(name for names in of for name in names))
 
     @cached_property

@@ -45,7 +45,7 @@ class Declaration(Protocol):
 
 
 @dataclass(frozen=True)
-class Observed:
+class ObservedRows:
     """The rows that effects are to be tested on.
 
     Attributes:
@@ -53,7 +53,8 @@ class Observed:
         table: Covariates of those rows (see :func:`aridcal.engine.corrections.loads.covariate_table`), shape (N,) each.
         measured: Names of the columns beside the joints that are complete and not constant.
         orientations: False where only positions were measured: the target's own turns are not seen then.
-        held: Components that are taken as stated of each thing that measurements refer to, by the name of its role and its own.
+        stated_components: What is taken as stated of each thing that measurements refer to, by the names of its role and its own.
+            own.
         referred: Different configurations of the rows that refer to each of those things.
         labels: Covariates of the rows' labels (see :mod:`aridcal.engine.corrections.labels`).
         masses: Covariates of the payloads.
@@ -63,7 +64,7 @@ class Observed:
     table: Mapping[str, np.ndarray]
     measured: tuple[str, ...]
     orientations: bool = True
-    held: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
+    stated_components: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
     referred: Mapping[tuple[str, str], int] = field(default_factory=dict)
     labels: tuple[str, ...] = ()
     masses: tuple[str, ...] = ("payload",)
@@ -95,7 +96,7 @@ class Observed:
 
 
 @dataclass(frozen=True)
-class Kind:
+class EffectKind:
     """One row of the table of kinds. Whatever is to be known of a kind stands here, and nowhere else.
 
     Attributes:
@@ -112,7 +113,7 @@ class Kind:
         of_order: Effects that a declaration with ``order`` means, where any order may be declared: the generator can
             yield only some.
         of_declaration: The effect that any declaration means, where the generator yields only some.
-        asked: True for what is sought only where a campaign names it.
+        on_request: True for what is sought only where a campaign names it.
         exclusive: True if the effects of this kind at one place are alternatives, the most likely first. A declaration
             means the first that fits; of any other kind it means all of them together.
         columns: Columns beside the joints that a declared effect depends on, for the simulator to draw.
@@ -128,13 +129,13 @@ class Kind:
     bases: tuple[str, ...]
     example: str
     doc: str
-    testable: Callable[[Observed], Iterator[Effect]]
+    testable: Callable[[ObservedRows], Iterator[Effect]]
     of_head: Literal["", "camera", "sonar"] = ""
     key: Literal["with", "by", "at"] | None = None
     bys: tuple[str, ...] = ()
     of_order: Callable[[Declaration, float], Iterator[Effect]] | None = None
-    of_declaration: Callable[[Observed, Declaration], Iterator[Effect]] | None = None
-    asked: bool = False
+    of_declaration: Callable[[ObservedRows, Declaration], Iterator[Effect]] | None = None
+    on_request: bool = False
     exclusive: bool = False
     columns: Callable[[Declaration], tuple[str, ...]] = lambda _: ()
     curve: tuple[str, ...] = ()
@@ -148,7 +149,7 @@ def slope(where: str, component: str, of: str, centre: float = 0.0) -> Coefficie
     return Coefficient(where, component, Basis("linear", (of,), (centre,)))
 
 
-def middle(values: np.ndarray) -> float:
+def rounded_mean(values: np.ndarray) -> float:
     """The mean of a covariate, rounded so that a basis made from it reads back from a file."""
     return round(float(np.mean(values)), 9)
 

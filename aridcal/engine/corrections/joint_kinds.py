@@ -8,7 +8,15 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Declaration, Kind, Observed, bumps, middle, slope, turns
+from aridcal.engine.corrections.effect_kind import (
+    Declaration,
+    EffectKind,
+    ObservedRows,
+    bumps,
+    rounded_mean,
+    slope,
+    turns,
+)
 from aridcal.engine.corrections.loads import bearing_components
 from aridcal.engine.levels import SLIGHT
 from aridcal.engine.robot.chain import Joint
@@ -25,7 +33,7 @@ BENDS = (1.0, 2.0, 3.0, 4.0)
 WAVES = (0.5, 1.0, 2.0)
 """Periods of a wave over the travel seen."""
 
-POWERS = (1.0, 2.0)
+RAIL_POWERS = (1.0, 2.0)
 """Of a rail's travel, for what bends the more the further it is out."""
 
 MAP_KNOTS = 72
@@ -38,14 +46,14 @@ ACROSS = ("r1", "r2", "t1", "t2")
 """Motions of an axis: it tilts or it runs out."""
 
 
-def _joint_gain(rows: Observed) -> Iterator[Effect]:
+def _joint_gain(rows: ObservedRows) -> Iterator[Effect]:
     """Difference q - mean(q), about the joint's own axis."""
     for j in rows.moving():
-        gain = slope(j.name, "axis", j.name, middle(rows.table[j.name]))
+        gain = slope(j.name, "axis", j.name, rounded_mean(rows.table[j.name]))
         yield Effect("joint_gain", j.name, (gain,))
 
 
-def _joint_harmonic(rows: Observed) -> Iterator[Effect]:
+def _joint_harmonic(rows: ObservedRows) -> Iterator[Effect]:
     """sin(k q) and cos(k q) for each likely order k, and for the first two together."""
     for j in rows.moving("revolute"):
         for order in ORDERS:
@@ -60,14 +68,14 @@ def _harmonic_of_order(d: Declaration, order: float) -> Iterator[Effect]:
     yield Effect(d.kind, d.where, turns(d.where, "axis", d.where, order), (order,))
 
 
-def _joint_map(rows: Observed) -> Iterator[Effect]:
+def _joint_map(rows: ObservedRows) -> Iterator[Effect]:
     """A smooth function of q, about the joint's own axis."""
     for j in rows.moving():
         curve = bumps(j.name, "axis", j.name, rows.table[j.name], MAP_KNOTS)
         yield Effect("joint_map", j.name, curve, smooth=True)
 
 
-def _joint_backlash(rows: Observed) -> Iterator[Effect]:
+def _joint_backlash(rows: ObservedRows) -> Iterator[Effect]:
     """The side of approach, -1 or 1, or the sign of gravity's torque where it takes either."""
     for j in rows.robot.joints:
         direction, load = f"{j.name}_direction", f"{j.name}.gravity_torque"
@@ -78,7 +86,7 @@ def _joint_backlash(rows: Observed) -> Iterator[Effect]:
             yield Effect("joint_backlash", j.name, (flank,), by="load")
 
 
-def _joint_compliance(rows: Observed) -> Iterator[Effect]:
+def _joint_compliance(rows: ObservedRows) -> Iterator[Effect]:
     """Gravity's torque (force, if prismatic), about the joint's own axis."""
     for j in rows.robot.joints:
         load = f"{j.name}.gravity_torque"
@@ -86,7 +94,7 @@ def _joint_compliance(rows: Observed) -> Iterator[Effect]:
             yield Effect("joint_compliance", j.name, (slope(j.name, "axis", load),))
 
 
-def _bearing_compliance(rows: Observed) -> Iterator[Effect]:
+def _bearing_compliance(rows: ObservedRows) -> Iterator[Effect]:
     """Each rotation that a joint does not drive under its own moment; a rail's also times powers of its travel."""
     for j in rows.robot.joints:
         travels = j.kind == "prismatic" and rows.moves(j)
@@ -106,14 +114,14 @@ def _bearing_compliance(rows: Observed) -> Iterator[Effect]:
             yield Effect("bearing_compliance", j.name, tuple(together))
 
 
-def _tilts_with_travel(rows: Observed, rail: Joint, component: str, load: str) -> list[Coefficient]:
+def _tilts_with_travel(rows: ObservedRows, rail: Joint, component: str, load: str) -> list[Coefficient]:
     """A load times powers of a rail's travel, as a share of its largest."""
     largest = float(np.abs(rows.table[rail.name]).max())
-    bases = [Basis("times_power", (load, rail.name), (0.0, largest, power)) for power in POWERS]
+    bases = [Basis("times_power", (load, rail.name), (0.0, largest, power)) for power in RAIL_POWERS]
     return [Coefficient(rail.name, component, basis) for basis in bases]
 
 
-def _axis_wobble(rows: Observed) -> Iterator[Effect]:
+def _axis_wobble(rows: ObservedRows) -> Iterator[Effect]:
     """sin(k q) and cos(k q) of tilt and of runout: each direction by itself, both, and all four."""
     for j in rows.moving("revolute"):
         for order in WOBBLES:
@@ -131,10 +139,10 @@ def _wobble_of_order(d: Declaration, order: float) -> Iterator[Effect]:
         yield Effect(d.kind, d.where, turns(d.where, component, d.where, order), (order,))
 
 
-def _rail(kind: str, components: tuple[str, ...]) -> Callable[[Observed], Iterator[Effect]]:
+def _rail(kind: str, components: tuple[str, ...]) -> Callable[[ObservedRows], Iterator[Effect]]:
     """Functions of a rail's travel: a smooth one, polynomials of rising degree, and waves."""
 
-    def of_travel(rows: Observed) -> Iterator[Effect]:
+    def of_travel(rows: ObservedRows) -> Iterator[Effect]:
         for j in rows.moving("prismatic"):
             travel = rows.table[j.name]
             centre, half = float(travel.min() + travel.max()) / 2, float(np.ptp(travel)) / 2
@@ -150,17 +158,17 @@ def _rail(kind: str, components: tuple[str, ...]) -> Callable[[Observed], Iterat
     return of_travel
 
 
-def _joint_coupling(rows: Observed) -> Iterator[Effect]:
+def _joint_coupling(rows: ObservedRows) -> Iterator[Effect]:
     """Each joint by the reading of each other one that moves, on the same limb."""
     for j in rows.robot.joints:
         for other in rows.moving():
             if other.name != j.name and rows.robot.on_one_limb(j.name, other.name):
-                led = slope(j.name, "axis", other.name, middle(rows.table[other.name]))
+                led = slope(j.name, "axis", other.name, rounded_mean(rows.table[other.name]))
                 yield Effect("joint_coupling", j.name, (led,), with_=other.name)
 
 
 JOINT_KINDS = (
-    Kind(
+    EffectKind(
         "joint_gain",
         where="a joint",
         words="the joint turns by more or less than it reads",
@@ -169,7 +177,7 @@ JOINT_KINDS = (
         doc="joint_gain",
         testable=_joint_gain,
     ),
-    Kind(
+    EffectKind(
         "joint_harmonic",
         where="a revolute joint",
         words="an error that comes round with each turn of a shaft or disk",
@@ -180,7 +188,7 @@ JOINT_KINDS = (
         of_order=_harmonic_of_order,
         exclusive=True,
     ),
-    Kind(
+    EffectKind(
         "joint_map",
         where="a joint",
         words="an error of the joint's own reading, as of an encoder or gear",
@@ -191,7 +199,7 @@ JOINT_KINDS = (
         curve=("axis",),
         holds=frozenset({"joint_gain", "joint_harmonic"}),
     ),
-    Kind(
+    EffectKind(
         "joint_backlash",
         where="a joint",
         words="play that is taken up on one side or the other",
@@ -204,7 +212,7 @@ JOINT_KINDS = (
         exclusive=True,
         columns=lambda d: (f"{d.where}_direction",) if d.by == "direction" else (),
     ),
-    Kind(
+    EffectKind(
         "joint_compliance",
         where="a joint",
         words="the joint yields under the weight beyond it",
@@ -213,7 +221,7 @@ JOINT_KINDS = (
         doc="joint_compliance",
         testable=_joint_compliance,
     ),
-    Kind(
+    EffectKind(
         "bearing_compliance",
         where="a joint",
         words="the bearing tilts under the weight beyond it",
@@ -222,7 +230,7 @@ JOINT_KINDS = (
         doc="bearing_compliance",
         testable=_bearing_compliance,
     ),
-    Kind(
+    EffectKind(
         "axis_wobble",
         where="a revolute joint",
         words="the axis itself wanders as the joint turns",
@@ -232,7 +240,7 @@ JOINT_KINDS = (
         testable=_axis_wobble,
         of_order=_wobble_of_order,
     ),
-    Kind(
+    EffectKind(
         "rail_straightness",
         where="a prismatic joint",
         words="the rail is bent",
@@ -242,7 +250,7 @@ JOINT_KINDS = (
         testable=_rail("rail_straightness", ("t1", "t2")),
         curve=("t1", "t2"),
     ),
-    Kind(
+    EffectKind(
         "rail_angular",
         where="a prismatic joint",
         words="the carriage tilts on its way along the rail",
@@ -252,7 +260,7 @@ JOINT_KINDS = (
         testable=_rail("rail_angular", ("roll", "pitch", "yaw")),
         curve=("roll", "pitch", "yaw"),
     ),
-    Kind(
+    EffectKind(
         "joint_coupling",
         where="a joint",
         words="the joint moves along when another one turns",

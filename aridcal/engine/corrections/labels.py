@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-STATION = "station"
+LABEL_COLUMN = "station"
 """The column of labels: of stations, of squares, of whatever rows are alike in."""
 
 MOST_LABELS = 100
@@ -15,17 +15,17 @@ MOST_LABELS = 100
 
 def label_column(label: str) -> str:
     """Name of the covariate that is 1 in the rows of a station."""
-    return f"{STATION}[{label}]"
+    return f"{LABEL_COLUMN}[{label}]"
 
 
 def label_in(name: str) -> str:
     """The label of a covariate of a station."""
-    return name[len(STATION) + 1 : -1]
+    return name[len(LABEL_COLUMN) + 1 : -1]
 
 
 def is_label(name: str) -> bool:
     """True for a covariate of a station."""
-    return name.startswith(f"{STATION}[") and name.endswith("]")
+    return name.startswith(f"{LABEL_COLUMN}[") and name.endswith("]")
 
 
 def labels_in(station: np.ndarray | None) -> list[str]:

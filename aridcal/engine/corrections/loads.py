@@ -16,19 +16,19 @@ from aridcal.engine.robot.kinematics import (
     JointFrames,
     bears,
     borne_by,
-    carried,
+    chain_part,
     gravity_loads,
-    of_chain,
+    link_axes,
     tree_frames,
 )
 
-LOADS = (".gravity_", ".payload_")
+LOAD_MARKS = (".gravity_", ".payload_")
 """What the names of loads hold, and no other covariate's."""
 
 
 def is_load(name: str) -> bool:
     """True for a covariate that is computed from masses, ``joint_2.gravity_torque`` for instance."""
-    return any(part in name for part in LOADS)
+    return any(part in name for part in LOAD_MARKS)
 
 
 PAYLOAD = "payload"
@@ -141,9 +141,9 @@ def _pull(robot: Robot, walked: Sequence[JointFrames], payload: Payload, weight:
     On the way up it pushes the joint's parent link, so its child link the other way. Joints of other limbs do not bear it.
     """
     link = payload.on or robot.tip
-    R, origin = carried(robot, walked, link)
+    R, origin = link_axes(robot, walked, link)
     place, bearing = origin + R @ payload.lever, bears(robot, link)
-    chain = of_chain(robot, walked)
+    chain = chain_part(robot, walked)
     senses = [
         float(on_path) * (-1.0 if joint.climbs else 1.0) for on_path, joint in zip(bearing, robot.joints, strict=True)
     ]

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, LINK_COMPONENTS, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import LEAST_KNOTS, Declaration, Kind, Observed, bumps
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, LINK_COMPONENTS, MOUNTING_FRAMES, Coefficient, Effect
+from aridcal.engine.corrections.effect_kind import LEAST_KNOTS, Declaration, EffectKind, ObservedRows, bumps
 from aridcal.engine.corrections.joint_kinds import RAIL_KNOTS
-from aridcal.engine.corrections.labels import STATION
+from aridcal.engine.corrections.labels import LABEL_COLUMN
 from aridcal.engine.corrections.sights import TARGET
 from aridcal.engine.robot.doty import links_down
 
@@ -37,26 +37,26 @@ that is smooth over the nodes goes on a little."""
 SHIFT, TURN = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
 
-def _regional(rows: Observed) -> Iterator[Effect]:
+def _regional(rows: ObservedRows) -> Iterator[Effect]:
     """Tilts of each link along each rail; by label also joints' zeros and frames."""
     for rail in rows.moving("prismatic"):
         for where, motion in _links(rows):
             yield _varying(rows, "regional", where, motion, rail.name)
     if len(rows.labels) > 1:
         zeros = [(joint.name, ("axis",)) for joint in rows.moving()]
-        frames = [(where, motion) for where in FRAMES for motion in (SHIFT, TURN)]
+        frames = [(where, motion) for where in MOUNTING_FRAMES for motion in (SHIFT, TURN)]
         for where, motion in (*_links(rows), *zeros, *frames):
-            yield _varying(rows, "regional", where, motion, STATION)
+            yield _varying(rows, "regional", where, motion, LABEL_COLUMN)
 
 
-def _residual_field(rows: Observed) -> Iterator[Effect]:
+def _residual_field(rows: ObservedRows) -> Iterator[Effect]:
     """The target's own shift over its place, alike over distances of an octave each."""
     if TARGET[0] in rows.table:
         field = _varying(rows, "residual_field", "world_base", SHIFT, IN_SPACE)
         yield from widths(field) if field.coefficients else ()
 
 
-def _links(rows: Observed) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _links(rows: ObservedRows) -> Iterator[tuple[str, tuple[str, ...]]]:
     """The bend and twist of each link; of one whose next axis meets its own, of the origin beyond it."""
     for link in links_down(rows.robot):
         if not link.singular:
@@ -65,31 +65,31 @@ def _links(rows: Observed) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield str(link.next_origin), ("pitch", "roll")
 
 
-def _declared(rows: Observed, d: Declaration) -> Iterator[Effect]:
+def _declared(rows: ObservedRows, d: Declaration) -> Iterator[Effect]:
     """The effect of a declaration: a joint's or a frame's motions over a reading, a column or in space; by default its tilts."""
-    motion = d.motion or dict(_links(rows)).get(d.where) or (SHIFT if d.where in FRAMES else FRAME_COMPONENTS)
+    motion = d.motion or dict(_links(rows)).get(d.where) or (SHIFT if d.where in MOUNTING_FRAMES else FRAME_COMPONENTS)
     by = d.by or IN_SPACE
-    labels = (STATION,) if len(rows.labels) > 1 else ()
+    labels = (LABEL_COLUMN,) if len(rows.labels) > 1 else ()
     if set(motion) <= set(_motions(rows, d.where)) and by in (IN_SPACE, *labels, *rows.varying()):
         effect = _varying(rows, d.kind, d.where, motion, by)
         if effect.coefficients:
             yield effect
 
 
-def _motions(rows: Observed, where: str) -> tuple[str, ...]:
+def _motions(rows: ObservedRows, where: str) -> tuple[str, ...]:
     """Components that may vary at a place: of frames, of a joint and of its link."""
-    if where in FRAMES:
+    if where in MOUNTING_FRAMES:
         return FRAME_COMPONENTS
     of_link = next((link.components for link in links_down(rows.robot) if link.joint == where), ())
     return ("axis", *FRAME_COMPONENTS, *of_link)
 
 
-def _varying(rows: Observed, kind: str, where: str, motion: tuple[str, ...], by: str) -> Effect:
+def _varying(rows: ObservedRows, kind: str, where: str, motion: tuple[str, ...], by: str) -> Effect:
     """Motions of one place as smooth functions of a covariate, or of the target's place; empty where there are too few.
 
     By label they are as many numbers as there are labels, each alike in size alone.
     """
-    if by == STATION and rows.labels:
+    if by == LABEL_COLUMN and rows.labels:
         bases = [Basis("label", (name,)) for name in rows.labels]
         every = tuple(Coefficient(where, component, basis) for component in motion for basis in bases)
     elif by == IN_SPACE:
@@ -201,7 +201,7 @@ def without_label(bases: Iterable[Basis], columns: Mapping[str, np.ndarray], cou
     return ~labelled if of_labels else labelled
 
 
-REGIONAL = Kind(
+REGIONAL = EffectKind(
     "regional",
     where="a joint, `world_base` or `tip_target`",
     words="a constant that is not the same all over the workspace",
@@ -211,12 +211,12 @@ REGIONAL = Kind(
     testable=_regional,
     key="by",
     of_declaration=_declared,
-    asked=True,
-    columns=lambda d: () if d.by in (IN_SPACE, STATION) else (str(d.by),),
+    on_request=True,
+    columns=lambda d: () if d.by in (IN_SPACE, LABEL_COLUMN) else (str(d.by),),
     curve=("axis", *FRAME_COMPONENTS, *LINK_COMPONENTS),
 )
 
-RESIDUAL_FIELD = Kind(
+RESIDUAL_FIELD = EffectKind(
     "residual_field",
     where="`world_base` or `tip_target`",
     words="a shift of the target that depends on where it is, of no known cause",
@@ -225,6 +225,6 @@ RESIDUAL_FIELD = Kind(
     doc="residual_field",
     testable=_residual_field,
     of_declaration=_declared,
-    asked=True,
+    on_request=True,
     named=False,
 )

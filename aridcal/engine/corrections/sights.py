@@ -17,7 +17,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import along_plane, tip_frames
 
 LENGTH, SAG = ".wire_length", ".wire_sag"
-PLACE = (".plate_1", ".plate_2")
+PLATE_COORDINATES = (".plate_1", ".plate_2")
 TARGET = ("target.place_x", "target.place_y", "target.place_z")
 """The target's own place in the base frame, the arm nominal, [m]."""
 
@@ -39,7 +39,7 @@ class Sights:
 
 def is_sight(name: str) -> bool:
     """True for a covariate that is computed from where something is, ``rail.wire_length`` for instance."""
-    return name in TARGET or name.endswith((LENGTH, SAG, *PLACE))
+    return name in TARGET or name.endswith((LENGTH, SAG, *PLATE_COORDINATES))
 
 
 def sights_from(
@@ -117,6 +117,6 @@ def sight_table(
         upright = (wire @ gravity / size) ** 2 if size else square
         table[name + LENGTH], table[name + SAG] = length, length * (square - upright)
     for name, (middle, *directions) in sights.plates.items():
-        for ending, direction in zip(PLACE, directions, strict=True):
+        for ending, direction in zip(PLATE_COORDINATES, directions, strict=True):
             table[name + ending] = (place - middle) @ direction
     return table

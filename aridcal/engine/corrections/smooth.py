@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import wendland
 
-SPREAD = 1e-11
+LEAST_MODE_SHARE = 1e-11
 """Work: smallest variance of a smooth function's modes, as a share of the largest: it stays invertible in double precision."""
 
 
@@ -37,10 +37,10 @@ class Nodes:
     places: tuple[tuple[float, float, float], ...]
 
 
-Part = tuple[int, ...] | Nodes
+SmoothPart = tuple[int, ...] | Nodes
 """Samples of one function: knots along each of its covariates, or nodes in space."""
 
-Shape = tuple[Part, ...]
+Shape = tuple[SmoothPart, ...]
 """Samples of several functions, one after the other: independent beforehand, but alike in size and length."""
 
 
@@ -76,7 +76,7 @@ def kernel_root(shape: tuple[int, ...], kernel: Kernel) -> np.ndarray:
         kernel: Prior along each covariate.
 
     Returns:
-        B with covariance B B', shape (knots, knots) of all knots. No mode has less than a share :data:`SPREAD` of the
+        B with covariance B B', shape (knots, knots) of all knots. No mode has less than a share :data:`LEAST_MODE_SHARE` of the
         largest variance, so that B has an inverse.
     """
     root: np.ndarray = np.ones((1, 1))
@@ -85,7 +85,7 @@ def kernel_root(shape: tuple[int, ...], kernel: Kernel) -> np.ndarray:
         distance = np.abs(np.subtract.outer(place, place)) / kernel.length
         covariance = _matern(distance) if kernel.kinks else np.exp(-0.5 * distance**2)
         variances, modes = np.linalg.eigh(covariance)
-        least = SPREAD ** (1 / len(shape)) * variances[-1]
+        least = LEAST_MODE_SHARE ** (1 / len(shape)) * variances[-1]
         along = modes * np.sqrt(np.maximum(variances, least))
         root = np.kron(root, along)
     return root
@@ -109,7 +109,7 @@ def _nodes_root(nodes: Nodes) -> np.ndarray:
 
     places = np.array(nodes.places)
     variances, modes = np.linalg.eigh(wendland(cdist(places, places)))
-    return np.asarray(modes / np.sqrt(np.maximum(variances, SPREAD * variances[-1])))
+    return np.asarray(modes / np.sqrt(np.maximum(variances, LEAST_MODE_SHARE * variances[-1])))
 
 
 def smooth_precision(shape: Shape, tau: float, kernel: Kernel) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import ANGULAR, FRAME_COMPONENTS, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, Observed, knots_over
+from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows, knots_over
 from aridcal.engine.robot.chain import Joint
 
 KNOTS = 9
@@ -22,7 +22,7 @@ ALONG = 0.99
 """Cosine of the angle (8 deg) within which a frame's axis counts as the joint's own."""
 
 
-def _unknown(rows: Observed) -> Iterator[Effect]:
+def _unknown(rows: ObservedRows) -> Iterator[Effect]:
     """Any motion of any joint or of the target, each as a smooth function of any column, or any reading on the joint's limb."""
     # The same bases for all motions: a thousand effects are made of them, and compared.
     curves = {name: knots_over(name, rows.table[name], KNOTS) for name in rows.varying()}
@@ -47,7 +47,7 @@ def _drives(joint: Joint, component: str) -> bool:
     return along > ALONG and (component in ANGULAR) == (joint.kind == "revolute")
 
 
-def pair(rows: Observed, where: str, component: str, of: tuple[str, str]) -> Effect:
+def pair(rows: ObservedRows, where: str, component: str, of: tuple[str, str]) -> Effect:
     """A motion as a smooth function of two covariates at once: products of B-splines on a grid of knots."""
     low = [float(rows.table[name].min()) for name in of]
     step = [float(np.ptp(rows.table[name])) / (PAIR_KNOTS - 1) for name in of]
@@ -57,7 +57,7 @@ def pair(rows: Observed, where: str, component: str, of: tuple[str, str]) -> Eff
     return Effect("unknown", where, coefficients, smooth=True, grid=(PAIR_KNOTS + 2,) * 2)
 
 
-UNKNOWN = Kind(
+UNKNOWN = EffectKind(
     "unknown",
     where="a joint or `tip_target`",
     words="something repeatable that no kind of effect explains",

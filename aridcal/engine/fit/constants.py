@@ -12,7 +12,7 @@ from aridcal.engine.instruments.setup import TIP
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.doty import doty_links
-from aridcal.engine.robot.splice import splice_origins, written_origins
+from aridcal.engine.robot.splice import origin_texts, splice_origins
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import RobotError
 
@@ -37,7 +37,7 @@ def frame_coefficients(question: Question, labels: tuple[str, ...], data: Datase
     return tuple(unknowns)
 
 
-def asked_constants(question: Question, robot: Robot, data: Dataset) -> tuple[Coefficient, ...]:
+def constants_of_question(question: Question, robot: Robot, data: Dataset) -> tuple[Coefficient, ...]:
     """All constants that are to be identified: unknown frames, then the robot's."""
     labels = station_labels(question, data)
     return frame_coefficients(question, labels, data) + constants(robot, question.constants)
@@ -132,7 +132,7 @@ def stage_urdf(fit: Fit) -> bytes:
 def urdf_of(model: Model, theta: np.ndarray) -> bytes:
     """The user's URDF with a model's constants folded into the joints' own origins, zeros of joints included."""
     urdf = model.robot.urdf
-    return splice_origins(urdf, written_origins(urdf, origins_of(model, theta)))
+    return splice_origins(urdf, origin_texts(urdf, origins_of(model, theta)))
 
 
 def origins_of(model: Model, theta: np.ndarray) -> dict[str, pin.SE3]:

@@ -26,10 +26,10 @@ from scipy.sparse.csgraph import connected_components
 from aridcal.engine.fit.normal_equations import NormalEquations, directions
 from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.instruments.setup import Instruments, Tie
-from aridcal.engine.model.predictions import Measured, States
+from aridcal.engine.model.predictions import Observations, ThingStates
 from aridcal.engine.numerics import TINY
 
-STEP = 1e-6
+TIE_STEP = 1e-6
 """Work: Change [m] or [rad] over which ties are differentiated: rounding and curvature are then alike, 1e-10."""
 
 
@@ -76,18 +76,18 @@ class Groups:
 
 
 @dataclass(frozen=True)
-class Known:
+class PriorRows:
     """Prior knowledge of groups as T rows of unit noise: ties, and places with a declared uncertainty.
 
     Attributes:
         group: Group of each row, shape (T,).
         by: Columns of the group's unknowns, shape (T, U).
-        left: Declared minus present value, in sigmas, shape (T,).
+        misfit: Declared minus present value, in sigmas, shape (T,).
     """
 
     group: np.ndarray
     by: np.ndarray
-    left: np.ndarray
+    misfit: np.ndarray
 
 
 @dataclass
@@ -197,7 +197,7 @@ def projector(
     return Projector(B, group, pull)
 
 
-def groups(measured: Measured) -> Groups | None:
+def groups(measured: Observations) -> Groups | None:
     """Groups of the things of roles that may have many; None where none of these things has an unknown."""
     things = {name: t for name, t in measured.instruments.things.items() if t.role.many}
     first = dict(zip(things, np.cumsum([0, *(len(t) for t in things.values())]).tolist(), strict=False))
@@ -232,7 +232,7 @@ def groups(measured: Measured) -> Groups | None:
     return Groups(row, role, thing, measured.roles, group, slot, unknown)
 
 
-def known(groups: Groups, instruments: Instruments, states: States) -> Known:
+def prior_rows(groups: Groups, instruments: Instruments, states: ThingStates) -> PriorRows:
     """Ties and declared uncertainties of things as rows, linearised where the things are."""
     rows: list[tuple[int, np.ndarray, float]] = []
     width = groups.unknown.shape[1]
@@ -248,15 +248,15 @@ def known(groups: Groups, instruments: Instruments, states: States) -> Known:
             by[slot[k, component]] = 1.0 / std
             deviation = (things.start[k, component] - states[name][k, component]) / std
             rows.append((int(groups.group[name][k]), by, float(deviation)))
-    return Known(
+    return PriorRows(
         group=np.array([g for g, _, _ in rows], dtype=int),
         by=np.array([by for _, by, _ in rows]).reshape(-1, width),
-        left=np.array([deviation for _, _, deviation in rows]),
+        misfit=np.array([deviation for _, _, deviation in rows]),
     )
 
 
 def _row_of_tie(
-    tie: Tie, groups: Groups, instruments: Instruments, states: States, width: int
+    tie: Tie, groups: Groups, instruments: Instruments, states: ThingStates, width: int
 ) -> tuple[int, np.ndarray, float] | None:
     """A tie as a row: group, columns, and declared minus present value in sigmas; None where no end of it has an unknown."""
     things = instruments.things[tie.role]
@@ -271,9 +271,11 @@ def _row_of_tie(
     for end, k in enumerate(pair):
         for component in np.flatnonzero(groups.slot[tie.role][k] >= 0).tolist():
             change = np.zeros((2, len(things.role.components)))
-            change[:, component] = STEP, -STEP
+            change[:, component] = TIE_STEP, -TIE_STEP
             ahead, back = things.role.moved(np.array([ends[end], ends[end]]), change)
-            slope = (_value_of_tie(tie, ahead, ends[1 - end]) - _value_of_tie(tie, back, ends[1 - end])) / (2.0 * STEP)
+            slope = (_value_of_tie(tie, ahead, ends[1 - end]) - _value_of_tie(tie, back, ends[1 - end])) / (
+                2.0 * TIE_STEP
+            )
             by[groups.slot[tie.role][k, component]] = slope / tie.std
     return group, by, (tie.value - _value_of_tie(tie, *ends)) / tie.std
 
@@ -284,7 +286,7 @@ def _value_of_tie(tie: Tie, first: np.ndarray, second: np.ndarray) -> float:
     return float(np.linalg.norm(a - b) if tie.form == "distance" else a @ b)
 
 
-def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> Elimination:
+def solved(sums: Sums, groups: Groups, beforehand: PriorRows, sigma: np.ndarray) -> Elimination:
     """Solve for all groups.
 
     Args:
@@ -296,16 +298,16 @@ def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> 
     per = 1.0 / sigma**2
     H, C, b = (np.tensordot(per, total, axes=1) for total in (sums.BB, sums.BJ, sums.Br))
     np.add.at(H, beforehand.group, beforehand.by[:, :, None] * beforehand.by[:, None, :])
-    np.add.at(b, beforehand.group, beforehand.by * beforehand.left[:, None])
+    np.add.at(b, beforehand.group, beforehand.by * beforehand.misfit[:, None])
     values, vectors, scale = directions(H)
     inverse = (vectors * (1.0 / values)[:, None, :]) @ vectors.transpose(0, 2, 1)
     inverse = inverse * scale[:, :, None] * scale[:, None, :]
     X, y = inverse @ C, np.einsum("guv,gv->gu", inverse, b)
-    return Elimination(X, y, inverse, float(np.sum(beforehand.left**2)), np.isfinite(values).sum(axis=1))
+    return Elimination(X, y, inverse, float(np.sum(beforehand.misfit**2)), np.isfinite(values).sum(axis=1))
 
 
 def reduced(
-    equations: NormalEquations, sums: Sums, elimination: Elimination, beforehand: Known, sigma: np.ndarray
+    equations: NormalEquations, sums: Sums, elimination: Elimination, beforehand: PriorRows, sigma: np.ndarray
 ) -> NormalEquations:
     """Normal equations of the coefficients with the groups solved for; prior knowledge counts in the groups' main channel.
 
@@ -328,17 +330,19 @@ def reduced(
         rr[c] += float(np.sum(y * (pull - 2.0 * sums.Br[c])))
     first = int(np.argmax(np.einsum("cguu->c", sums.BB)))
     by = tied_columns(X, beforehand)
-    remainder = beforehand.left - np.einsum("tu,tu->t", beforehand.by, y[beforehand.group])
+    remainder = beforehand.misfit - np.einsum("tu,tu->t", beforehand.by, y[beforehand.group])
     AA[first] += sigma[first] ** 2 * by.T @ by
     Ar[first] += sigma[first] ** 2 * by.T @ remainder
     rr[first] += sigma[first] ** 2 * float(remainder @ remainder)
     share = np.einsum("cguu->cg", sums.BB) / (sigma**2)[:, None]
     share = share / np.maximum(share.sum(axis=0), TINY)
-    count[first] += len(beforehand.left)
+    count[first] += len(beforehand.misfit)
     return NormalEquations(AA, Ar, np.maximum(rr, 0.0), np.maximum(count - share @ elimination.rank, 0.0))
 
 
-def moved(states: States, groups: Groups, instruments: Instruments, step: np.ndarray) -> dict[str, np.ndarray]:
+def states_after_step(
+    states: ThingStates, groups: Groups, instruments: Instruments, step: np.ndarray
+) -> dict[str, np.ndarray]:
     """Where the things are after a step of the groups' unknowns, shape (G, U)."""
     after = dict(states)
     for name, slot in groups.slot.items():
@@ -350,6 +354,6 @@ def moved(states: States, groups: Groups, instruments: Instruments, step: np.nda
     return after
 
 
-def tied_columns(X: np.ndarray, beforehand: Known) -> np.ndarray:
+def tied_columns(X: np.ndarray, beforehand: PriorRows) -> np.ndarray:
     """Prior knowledge of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Elimination`."""
     return -np.einsum("tu,tuk->tk", beforehand.by, X[beforehand.group])

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import betainc, gammaincinv
 
 from aridcal.engine.instruments.channels import Channels, norms
-from aridcal.engine.model.model import SIZES
+from aridcal.engine.model.model import UNIT_SIZES
 from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 
@@ -23,7 +23,7 @@ CAUCHY = 4.0
 OUTLIER = 6.0
 """Sigmas per axis, in any channel, beyond which a row is flagged: 1 clean pose in 7 million."""
 
-SUSPECT = 3.0
+SUSPECT_LIMIT = 3.0
 """The same for rows that share a measurement although the joints moved between them: that alone makes them doubtful."""
 
 ENDS = 150
@@ -32,7 +32,7 @@ ENDS = 150
 OF_SPACE = ("m", "rad", "px")
 """Units whose noise can be set beside each other."""
 
-MEASURED = "what is measured"
+MEASURED_COORDINATE = "what is measured"
 """Name of the coordinate in which rows of the same things lie together."""
 
 
@@ -111,11 +111,11 @@ def limits(data: Dataset, exempt: np.ndarray | None = None) -> np.ndarray:
         data: N rows.
         exempt: Rows that are never flagged, however large their residual, shape (N,) bool.
     """
-    usual = np.where(data.repeats.doubtful, SUSPECT, OUTLIER)
+    usual = np.where(data.repeats.doubtful, SUSPECT_LIMIT, OUTLIER)
     return usual if exempt is None else np.where(exempt, np.inf, usual)
 
 
-def flagged(r: np.ndarray, channels: Channels, limit: np.ndarray) -> np.ndarray:
+def outlier_rows(r: np.ndarray, channels: Channels, limit: np.ndarray) -> np.ndarray:
     """Outliers: rows further off than the bulk of the rows can explain, shape (N,) bool.
 
     Args:
@@ -158,7 +158,7 @@ def coordinates(data: Dataset) -> dict[str, np.ndarray]:
         things = np.unique(
             np.column_stack([data.labels.block.astype(str), data.labels.refers]), axis=0, return_inverse=True
         )[1]
-        values_of[MEASURED] = things.reshape(-1).astype(float)
+        values_of[MEASURED_COORDINATE] = things.reshape(-1).astype(float)
     values_of |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}
     if data.labels.station is not None:
         values_of["station"] = np.unique(data.labels.station, return_inverse=True)[1].astype(float)
@@ -186,6 +186,6 @@ def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) 
 
 def coarsest(sigma: np.ndarray, channels: Channels) -> np.ndarray:
     """Noise of the coarsest channel in the unit of each channel, shape (C,); 0 for channels in sigmas."""
-    size = np.array([SIZES[channel.unit] if channel.unit in OF_SPACE else 0.0 for channel in channels])
+    size = np.array([UNIT_SIZES[channel.unit] if channel.unit in OF_SPACE else 0.0 for channel in channels])
     there = size > 0.0
     return size * float(np.max(sigma[there] / size[there], initial=0.0))

@@ -11,15 +11,15 @@ import pinocchio as pin
 from aridcal.engine.fit.flags import robust_sigma
 from aridcal.engine.instruments.pose import kind_of_places, nearest_rotation, residuals
 from aridcal.engine.levels import SLIGHT
-from aridcal.engine.numerics import HALVINGS, RANK
+from aridcal.engine.numerics import RANK, STEP_HALVINGS
 
 STRAIN = 1 / 3
 """Work: Share of the misfit that the points may move by on the way to the hint: it then grows by a twentieth at the most."""
 
-BEST = 2
+BEST_STARTS = 2
 """Work: Target translations that are handed on: a fit of each tells which is right."""
 
-SAME = 1e-3
+SAME_MINIMUM_SHARE = 1e-3
 """Work: Share of the points' spread within which two minima are one."""
 
 DESCENTS = 500
@@ -32,15 +32,15 @@ TURN_COUNTS = 0.1
 """Work: [m/rad]: how much a start's misfit in rotation counts beside that in position."""
 
 Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
-Frames = tuple[pin.SE3, ...]
+FramePair = tuple[pin.SE3, ...]
 
 
 @dataclass(frozen=True)
 class FrameStart:
     """Placements of the world_base and tip_target frames, one per station or one in all."""
 
-    world_base: Frames
-    tip_target: Frames
+    world_base: FramePair
+    tip_target: FramePair
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class PoseRows:
 
 
 def start_frames(
-    data: PoseRows, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames
+    data: PoseRows, known_world: FramePair | None, known_tip: FramePair | None, hint_tip: FramePair
 ) -> list[FrameStart]:
     """Candidate starts for unknown T_world_base and T_tip_target; a fit from each tells which is right.
 
@@ -92,7 +92,9 @@ def start_frames(
     return [_with_target(data, world_base, t, hint_tip) for world_base, t in places]
 
 
-def best_start(data: PoseRows, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames) -> FrameStart:
+def best_start(
+    data: PoseRows, known_world: FramePair | None, known_tip: FramePair | None, hint_tip: FramePair
+) -> FrameStart:
     """The start with the smallest misfit; see :func:`start_frames`."""
     channels = kind_of_places(data.M).channels
 
@@ -141,9 +143,9 @@ def _levers(data: PoseRows, hint: np.ndarray) -> list[np.ndarray]:
     size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
     directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
     minima = [_descend(cost, np.tile(size * direction, tips), size)[1] for direction in directions]
-    lowest_first = sorted(_distinct(minima, SAME * size), key=lambda t: cost(t)[0])
+    lowest_first = sorted(_distinct(minima, SAME_MINIMUM_SHARE * size), key=lambda t: cost(t)[0])
     slid = [t + _slide(cost, t, hint.ravel() - t, size) for t in lowest_first]
-    return [t.reshape(tips, 3) for t in _distinct(slid, SAME * size)[:BEST]]
+    return [t.reshape(tips, 3) for t in _distinct(slid, SAME_MINIMUM_SHARE * size)[:BEST_STARTS]]
 
 
 def _distinct(places: Sequence[np.ndarray], apart: float) -> list[np.ndarray]:
@@ -196,7 +198,7 @@ def _descend(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]
     for _ in range(DESCENTS):
         step = -inverse @ slope
         falls = float(step @ slope)
-        for _ in range(HALVINGS):
+        for _ in range(STEP_HALVINGS):
             after_value, after_slope = cost(t + step)
             if after_value <= value + ARMIJO * falls:
                 break
@@ -228,7 +230,7 @@ def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarra
     return np.asarray(V @ np.where(moves < SLIGHT**2, np.clip(along, -reach, reach), 0.0))
 
 
-def _kabsch(data: PoseRows, t: np.ndarray, turned: np.ndarray | None) -> Frames:
+def _kabsch(data: PoseRows, t: np.ndarray, turned: np.ndarray | None) -> FramePair:
     """T_world_base of each world frame for known target translations, from positions and, where measured, rotations.
 
     Args:
@@ -250,7 +252,7 @@ def _kabsch(data: PoseRows, t: np.ndarray, turned: np.ndarray | None) -> Frames:
     return tuple(frames)
 
 
-def _kronecker(data: PoseRows, hint: np.ndarray) -> list[tuple[Frames, np.ndarray]]:
+def _kronecker(data: PoseRows, hint: np.ndarray) -> list[tuple[FramePair, np.ndarray]]:
     """Rotations from orientations alone (Shah 2013, doi:10.1115/1.4024473), both signs; then translations linearly."""
     assert data.M is not None
     turns = []
@@ -262,7 +264,7 @@ def _kronecker(data: PoseRows, hint: np.ndarray) -> list[tuple[Frames, np.ndarra
     return [_translations(data, RX, hint) for RX in rotations]
 
 
-def _translations(data: PoseRows, RX: np.ndarray, hint: np.ndarray) -> tuple[Frames, np.ndarray]:
+def _translations(data: PoseRows, RX: np.ndarray, hint: np.ndarray) -> tuple[FramePair, np.ndarray]:
     """Translations for known rotations: m = RX (p + R t) + tX is linear in t and tX; t is the nearest to its hint."""
     tips, n = len(hint), len(data.p)
     turn = RX[data.world]
@@ -280,7 +282,7 @@ def _translations(data: PoseRows, RX: np.ndarray, hint: np.ndarray) -> tuple[Fra
     return world_base, hint + x.reshape(tips, 3)
 
 
-def _levers_from_worlds(data: PoseRows, world_base: Frames, tips: int) -> np.ndarray:
+def _levers_from_worlds(data: PoseRows, world_base: FramePair, tips: int) -> np.ndarray:
     """Target translations t, shape (tips, 3), that belong to given world_base frames."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tX = np.array([frame.translation for frame in world_base])[data.world]
@@ -289,7 +291,7 @@ def _levers_from_worlds(data: PoseRows, world_base: Frames, tips: int) -> np.nda
     return np.array([np.median(lever[data.tip == k], axis=0) for k in range(tips)])
 
 
-def _with_target(data: PoseRows, world_base: Frames, t: np.ndarray, hint: Frames) -> FrameStart:
+def _with_target(data: PoseRows, world_base: FramePair, t: np.ndarray, hint: FramePair) -> FrameStart:
     """The start of given world_base frames and target translations, the targets' rotations from the measured ones."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tips = []

@@ -9,21 +9,21 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-TOLERANCE = 1e-7
+REDUNDANT_SHARE = 1e-7
 """Share of a column's length that is left off the others when it is called their sum: redundant columns of real robots keep
 1e-14 of it, identifiable ones 1e-2."""
 
-CLEAR = 0.02
+CLEARLY_IDENTIFIABLE = 0.02
 """The same for a column that is identifiable beyond doubt: where axes are parallel but for a milliradian, less is left."""
 
 CARRIES = 0.3
 """Share of the largest part in a weak combination that makes a column one of those that may go: the last of them goes, so
 that the order of preference holds."""
 
-MANY = 100
+MANY_COLUMNS = 100
 """Work: Columns from which the weakest combination is looked for without all others."""
 
-WORST = 0.02
+REDUNDANT_SIGMA = 0.02
 """[m] and [rad]: a direction that the noise moves further than 20 mm or 20 mrad is redundant."""
 
 
@@ -32,12 +32,12 @@ class Subset:
     """The coefficients that are kept, and why the others are not.
 
     Attributes:
-        kept: Indices of the coefficients that are fitted, in the order of preference.
+        independent: Indices of the coefficients that are fitted, in the order of preference.
         redundant: For each dropped index, the kept indices that it is confounded with; empty if it moves nothing.
         condition: Of the kept columns, each scaled to length 1.
     """
 
-    kept: tuple[int, ...]
+    independent: tuple[int, ...]
     redundant: dict[int, tuple[int, ...]]
     condition: float
 
@@ -55,8 +55,8 @@ def identifiable(R: np.ndarray, order: Sequence[int], ahead: Sequence[int] = ())
         ahead: Indices to keep before all others, if they can be measured at all.
     """
     length = np.linalg.norm(R, axis=0)
-    kept = _extended(R, length, [], ahead, TOLERANCE)
-    for share in (CLEAR, TOLERANCE):
+    kept = _extended(R, length, [], ahead, REDUNDANT_SHARE)
+    for share in (CLEARLY_IDENTIFIABLE, REDUNDANT_SHARE):
         kept = _extended(R, length, kept, order, share)
     kept = _without_weak(R, length, kept, order)
     scaled = R[:, kept] / length[kept]
@@ -79,12 +79,12 @@ def apart(R: np.ndarray, first: int) -> np.ndarray:
     rest = R[:, first:] - Q @ (Q.T @ R[:, first:])
     rest -= Q @ (Q.T @ rest)
     length = np.linalg.norm(rest, axis=0)
-    return np.asarray((length > TOLERANCE * np.linalg.norm(R[:, first:], axis=0)) & _is_measurable(length))
+    return np.asarray((length > REDUNDANT_SHARE * np.linalg.norm(R[:, first:], axis=0)) & _is_measurable(length))
 
 
 def _is_measurable(length: float | np.ndarray) -> bool | np.ndarray:
-    """Whether the noise moves a direction of so many sigmas per [m] or [rad] by less than :data:`WORST`."""
-    return length * WORST >= 1.0
+    """Whether the noise moves a direction of so many sigmas per [m] or [rad] by less than :data:`REDUNDANT_SIGMA`."""
+    return length * REDUNDANT_SIGMA >= 1.0
 
 
 def _extended(R: np.ndarray, length: np.ndarray, kept: list[int], candidates: Sequence[int], share: float) -> list[int]:
@@ -129,7 +129,7 @@ def _without_weak(R: np.ndarray, length: np.ndarray, kept: list[int], order: Seq
         T[rows, gone:] = np.linalg.qr(T[rows, gone:count], mode="complete")[0].T @ T[rows, gone:]
         for k in range(count, len(columns)):
             new_length = float(np.linalg.norm(T[count:, k]))
-            if new_length > TOLERANCE * length[columns[k]] and _is_measurable(new_length):
+            if new_length > REDUNDANT_SHARE * length[columns[k]] and _is_measurable(new_length):
                 columns.insert(count, columns.pop(k))
                 T[:, count : k + 1] = np.roll(T[:, count : k + 1], 1, axis=1)
                 T[count:, count:] = np.linalg.qr(T[count:, count : count + 1], mode="complete")[0].T @ T[count:, count:]
@@ -143,7 +143,7 @@ def _weakest(T: np.ndarray) -> tuple[float, np.ndarray]:
     Of many columns it is the largest eigenvalue of :math:`(T^T T)^{-1}`, by Lanczos's method, in a tenth of the time of them all.
     """
     k = len(T)
-    if k < MANY:
+    if k < MANY_COLUMNS:
         _, singular, Vt = np.linalg.svd(T)
         return float(singular[-1]), Vt[-1]
 
@@ -162,5 +162,5 @@ def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.nda
         shares = np.linalg.lstsq(R[:, kept] / length[kept], R[:, moving] / length[moving], rcond=None)[0]
         for k, share in zip(moving, shares.T, strict=True):
             largest_first = np.argsort(-np.abs(share))
-            partners[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > CLEAR)
+            partners[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > CLEARLY_IDENTIFIABLE)
     return partners

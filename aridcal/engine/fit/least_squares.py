@@ -10,45 +10,45 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.elimination import Groups
-from aridcal.engine.fit.flags import coarsest, flagged, limits, robust_sigma
+from aridcal.engine.fit.flags import coarsest, limits, outlier_rows, robust_sigma
 from aridcal.engine.fit.identifiable import Subset, identifiable
-from aridcal.engine.fit.normal_equations import Combined, Prior, condition, inverse, solve
+from aridcal.engine.fit.normal_equations import CombinedEquations, Prior, condition, inverse, solve
 from aridcal.engine.fit.problem import Problem
-from aridcal.engine.fit.residual import Linearisation, linearise, things_again, triangle
+from aridcal.engine.fit.residual import Linearisation, linearise, problem_with_things, triangle
 from aridcal.engine.instruments.channels import spread
-from aridcal.engine.model.model import Model, Rows
-from aridcal.engine.numerics import FLOOR, RANK, RIDGE, ROUNDS, STEPS
+from aridcal.engine.model.model import Model, ModelRows
+from aridcal.engine.numerics import FLOOR, MOST_ITERATIONS, RANK, RIDGE, ROUNDS
 from aridcal.engine.rows.dataset import with_sigma
 from aridcal.system.errors import NotIdentifiable
 
-ABREAST = 0.1
+COARSE_NOISE_SHARE = 0.1
 """Work: Of the coarsest channel's noise: until a fit has settled none that is estimated counts as finer. Turns may fit long
 before places do, those of exact data to the last digit; weighed by that alone they would hold the rest back."""
 
-SETTLED = 0.03
+LAST_STEP_SHARE = 0.03
 """Work: A step that moves no combination of coefficients by more than this share of its sigma is the last."""
 
-ROUGH = 1.0
+SETTLED_ROBUST_SHARE = 1.0
 """Work: The same for a robust fit, whose flags are all that is wanted of it."""
 
-UNNOTICED = 1e-3
+SKIPPED_STEP_SHARE = 1e-3
 """Work: The same for a step that is not even taken where rows are many: it would be another look at all of them."""
 
-STEADY = 1e-9
+NOISE_CHANGE_AT_END = 1e-9
 """Work: Relative change of the noise that ends its estimation: no figure may tell where it was begun, and only sums are asked
 again."""
 
 ROUGH_ROWS = 300
 """Work: Rows of a robust fit, or four times the coefficients if that is more: flags need no more."""
 
-AHEAD = 20_000
+FIRST_FITTED_ROWS = 20_000
 """Work: Rows that are fitted first, where there are twice as many: what they leave to do for all of them is one step."""
 
-NUMBERS = 3
+NUMBERS_PER_ROW = 3
 """Work: That a row measures, as these counts of rows take it: a position. Where it is one length, three times the rows are
 taken."""
 
-FEWEST = 10
+FEWEST_ROWS_OF_A_FRAME = 10
 """Work: Rows of each frame in any choice of rows: enough to find the frame."""
 
 LEAST_FREEDOM = 0.5
@@ -61,14 +61,14 @@ NEAR, SHORTEST = 1.0, 1e-3
 """Work: Sigmas of a whole step from which it is cut rather than damped, and the least share of it that is tried: where a
 constant is barely identifiable the way to the optimum is narrow and bent, and damping would bar just that way."""
 
-SLACK = 0.5
+SQUARES_SLACK = 0.5
 """Work: Squares, in sigmas, by which the sum may grow where readings are what was observed: it is not what is minimised there,
-but nearly (see :meth:`aridcal.engine.model.predictions.Measured.agreeing`)."""
+but nearly (see :meth:`aridcal.engine.model.predictions.Observations.agreeing`)."""
 
-VANISHED = 1e-2
+VANISHED_GRADIENT = 1e-2
 """Work: Sigmas of a coefficient: a gradient that asks for less has vanished."""
 
-PLENTY = 8.0
+PLENTY_OF_NUMBERS = 8.0
 """Numbers measured for each coefficient from which nothing is believed of it: its freedom costs an
 eighth of the squares at most."""
 
@@ -76,17 +76,17 @@ USUAL, BELIEVED = 1e-3, 2.0
 """[m] and [rad]: a millimetre and a milliradian are what constants of industrial arms are usually off by; that counts as much
 as two coefficients of a group that are known."""
 
-OTHER = 200
+OTHER_CONFIGURATIONS = 200
 """Work: Configurations not measured, at the least, that say which constants other rows would tell: several numbers for each."""
 
-TELLING = 8
+NUMBERS_THAT_TELL_NOISE = 8
 """Numbers beyond the coefficients below which rows do not tell their noise: from eight on it is known to a quarter."""
 
-CLOSE = 0.02
+SIZE_CHANGE_AT_END = 0.02
 """Work: Relative change of a group's size that ends its estimation: what depends on it changes by less than a hundredth of a
 sigma."""
 
-UNKNOWN_NOISE = 1e-4
+FIRST_NOISE = 1e-4
 """[m] and [rad]: noise of a good instrument, where nothing is known of it yet."""
 
 
@@ -111,7 +111,7 @@ class Convergence:
     @property
     def converged(self) -> bool:
         """True if the gradient vanished; ``agreed`` says whether other starts lead to the same minimum."""
-        return self.gradient < VANISHED
+        return self.gradient < VANISHED_GRADIENT
 
 
 @dataclass(frozen=True)
@@ -204,27 +204,29 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     """
     channels, declared = problem.channels, problem.data.declared
     robust, abreast, even = weight is None, True, np.ones(len(channels))
-    settled = ROUGH if robust else SETTLED
+    settled = SETTLED_ROBUST_SHARE if robust else LAST_STEP_SHARE
     at_once = linearise(problem, theta, weight, even) if not robust and problem.measured.direct else None
     scale = robust_sigma(at_once.residual if at_once else problem.scaled_residual(theta), channels)
 
-    def noise_at(equations: Combined, sigma: np.ndarray) -> np.ndarray:
+    def noise_at(equations: CombinedEquations, sigma: np.ndarray) -> np.ndarray:
         estimate = scale if robust else _noise_of_residuals(equations, sigma)
-        return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
+        return declared(
+            np.maximum(estimate, COARSE_NOISE_SHARE * coarsest(estimate, channels)) if abreast else estimate
+        )
 
-    def steady(equations: Combined, sigma: np.ndarray) -> np.ndarray:
+    def steady(equations: CombinedEquations, sigma: np.ndarray) -> np.ndarray:
         for _ in range(ROUNDS):
             before_sigma, sigma = sigma, noise_at(equations, sigma)
-            if np.all(np.abs(sigma - before_sigma) <= STEADY * before_sigma):
+            if np.all(np.abs(sigma - before_sigma) <= NOISE_CHANGE_AT_END * before_sigma):
                 break
         return sigma
 
     # Until rows are weighed channels count beside one another by their robust scale, then by their noise.
     current = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
-    equations = Combined(current.equations, prior)
+    equations = CombinedEquations(current.equations, prior)
     sigma = noise_at(equations, declared(scale))
     damping, share, steps = 0.0, 1.0, 0
-    while steps < STEPS and damping < MOST_DAMPING:
+    while steps < MOST_ITERATIONS and damping < MOST_DAMPING:
         g = equations.pull(sigma, theta)
         combined = solve(equations.information(sigma), g, damping)
         step, length = equations.of_coefficients(combined[:, None])[:, 0], float(np.sqrt(max(combined @ g, 0.0)))
@@ -234,7 +236,7 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         if last and abreast and not robust:
             abreast, sigma = False, steady(equations, sigma)  # the last step is taken in the noise that stays
             continue
-        if last and length < UNNOTICED and _has_many(problem):
+        if last and length < SKIPPED_STEP_SHARE and _has_many(problem):
             step = np.zeros(len(theta))
             ahead, trial = problem, current
         else:
@@ -243,8 +245,8 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         before = current.squares(current.weight, sigma, channels) + equations.squares(theta)
         after = trial.squares(current.weight, sigma, channels) + equations.squares(theta + step)
         steps += 1
-        if after <= before + (0.0 if problem.measured.direct else SLACK) or last:
-            equations = equations if trial is current else Combined(trial.equations, prior)
+        if after <= before + (0.0 if problem.measured.direct else SQUARES_SLACK) or last:
+            equations = equations if trial is current else CombinedEquations(trial.equations, prior)
             problem, theta, current = ahead, theta + step, trial
             damping = 0.0 if damping < FIRST_DAMPING else damping / 10
             scale = robust_sigma(current.residual, channels) if robust else scale
@@ -280,20 +282,22 @@ def fit(
         some = _rows_for_rough_fit(problem)
         rough = minimise(problem.select(some), theta, None, prior)
         theta, steps = rough.theta, rough.steps
-        problem = things_again(problem.with_states(rough.question.states), theta)
-        weight = np.where(flagged(problem.scaled_residual(theta), problem.channels, limit), 0.0, 1.0)
+        problem = problem_with_things(problem.with_states(rough.question.states), theta)
+        weight = np.where(outlier_rows(problem.scaled_residual(theta), problem.channels, limit), 0.0, 1.0)
     if _has_many(problem):
-        some = thin(problem.rows, AHEAD)
+        some = thin(problem.rows, FIRST_FITTED_ROWS)
         theta = minimise(problem.select(some), theta, weight[some], prior).theta
     for _ in range(ROUNDS):
         minimum = minimise(problem, theta, weight, prior)
         problem, theta, steps = minimum.question, minimum.theta, steps + minimum.steps
-        new_weight = np.where(flagged(minimum.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
+        new_weight = (
+            np.where(outlier_rows(minimum.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
+        )
         if np.array_equal(new_weight, weight):
             break
         weight = new_weight
     equations, sigma = minimum.at.equations, minimum.sigma
-    combined = Combined(equations, prior)
+    combined = CombinedEquations(equations, prior)
     inner = inverse(combined.information(sigma), ridge=0.0)
     H = equations.information(sigma) + (0.0 if prior is None else prior.precision)
     return Fit(
@@ -326,13 +330,13 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
     """
     model = problem.model
     theta = np.zeros(len(model.coefficients))
-    sigma = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
+    sigma = problem.data.declared(np.full(len(problem.channels), FIRST_NOISE))
     some = _rows_for_rough_fit(problem)
     share = np.full(len(some), len(problem) / len(some))
     sizes = model.sizes
     subset = identifiable(triangle(problem.select(some), theta, share, sigma) * sizes, order)
     for _ in range(ROUNDS):
-        kept = sorted(subset.kept)
+        kept = sorted(subset.independent)
         if not kept:
             raise NotIdentifiable([model.names])
         narrowed = _of_fewer_coefficients(problem, kept)
@@ -344,9 +348,9 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
         # Kept columns stay ahead: near the solution a symmetry of the nominal robot is broken a little, and columns
         # that this makes barely separable must not push out well-determined ones.
         subset = identifiable(R, order, kept)
-        if sorted(subset.kept) == kept:
+        if sorted(subset.independent) == kept:
             break
-    if groups and result.numbers < PLENTY * len(kept):
+    if groups and result.numbers < PLENTY_OF_NUMBERS * len(kept):
         result, subset = _fit_few_rows(problem, order, groups, replace(result, theta=theta), subset)
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
@@ -367,7 +371,7 @@ def _fit_few_rows(
         free: A fit without a prior, with values of all candidates: zero for those that are not in ``free_subset``.
         free_subset: The coefficients of that fit.
     """
-    model, kept = problem.model, sorted(free_subset.kept)
+    model, kept = problem.model, sorted(free_subset.independent)
     constants = [k for group in groups for k in group]
     theta = free.theta.copy()
     theta[constants] = 0.0
@@ -376,7 +380,7 @@ def _fit_few_rows(
         R = np.asarray(np.linalg.qr(np.vstack([R, _columns_elsewhere(problem, theta, free.sigma)]), mode="r"))
     # Frames have no prior: those that these rows do not determine stay out.
     subset = identifiable(R * model.sizes, [k for k in order if k in {*kept, *constants}], kept)
-    every = sorted(subset.kept)
+    every = sorted(subset.independent)
     begin = replace(free, theta=theta[every])
     redundant = {k: why for k, why in free_subset.redundant.items() if k not in every} | subset.redundant
     return shrunk(_of_fewer_coefficients(problem, every), begin, _motions_of_groups(R, every, groups)), replace(
@@ -387,7 +391,7 @@ def _fit_few_rows(
 def _columns_elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Columns of all candidates at other combinations of the rows' joint readings, shape (numbers, candidates)."""
     data, rng = problem.data, np.random.default_rng(0)
-    some = np.resize(np.arange(len(data)), max(OTHER, len(data)))
+    some = np.resize(np.arange(len(data)), max(OTHER_CONFIGURATIONS, len(data)))
     readings = np.column_stack([rng.permutation(column[some]) for column in data.readings.T])
     labels = (None if of is None else of[some] for of in (data.labels.station, data.labels.target))
     _, _, J = problem.model.jacobian(theta, problem.model.rows(readings, None, *labels))
@@ -423,7 +427,7 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
 
     where :math:`\tau_0` = :data:`USUAL` counts as :math:`\nu` = :data:`BELIEVED` constants. Constants that rows do not determine
     stay near zero; where rows tell much, the fit is the free one. Where there are hardly more numbers than coefficients, the
-    noise is taken to be no finer than :data:`UNKNOWN_NOISE`: a close fit would pass for a fine instrument.
+    noise is taken to be no finer than :data:`FIRST_NOISE`: a close fit would pass for a fine instrument.
 
     Args:
         problem: K identifiable coefficients, N rows.
@@ -436,8 +440,8 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
     fitted, theta = free, free.theta.copy()
     theta[believed] = 0.0
     precision = np.zeros((len(theta), len(theta)))
-    noise_known = free.numbers - len(theta) >= TELLING
-    finest = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
+    noise_known = free.numbers - len(theta) >= NUMBERS_THAT_TELL_NOISE
+    finest = problem.data.declared(np.full(len(problem.channels), FIRST_NOISE))
     for _ in range(ROUNDS):
         C = sum((size**2 * T @ T.T for size, T in zip(sizes, parts, strict=True)), np.zeros(2 * (len(believed),)))
         precision[np.ix_(believed, believed)] = inverse(C, ridge=RIDGE)
@@ -455,24 +459,24 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
             size_of_means = float(np.trace(gain @ second @ gain.T))
             size_of_doubts = before[g] ** 2 * (T.shape[1] - float(np.trace(gain @ T)))
             sizes[g] = np.sqrt((BELIEVED * USUAL**2 + size_of_means + size_of_doubts) / (BELIEVED + T.shape[1]))
-        if np.all(np.abs(sizes / before - 1.0) < CLOSE):
+        if np.all(np.abs(sizes / before - 1.0) < SIZE_CHANGE_AT_END):
             break
     return replace(fitted, believed=precision)
 
 
 def _has_many(problem: Problem) -> bool:
     """Whether rows are so many that a fit of some leaves next to nothing to do for all."""
-    return len(problem) > 2 * AHEAD and problem.measured.direct
+    return len(problem) > 2 * FIRST_FITTED_ROWS and problem.measured.direct
 
 
 def _rows_for_rough_fit(problem: Problem) -> np.ndarray:
     """Row numbers of a choice large enough for a robust fit of all coefficients, whatever a row measures."""
     numbers = sum(channel.size for channel in problem.channels) / len(problem.channels)
     most = max(ROUGH_ROWS, 4 * len(problem.model.coefficients))
-    return thin(problem.rows, round(most * max(1.0, NUMBERS / numbers)), problem.groups)
+    return thin(problem.rows, round(most * max(1.0, NUMBERS_PER_ROW / numbers)), problem.groups)
 
 
-def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
+def thin(rows: ModelRows, most: int, groups: Groups | None = None) -> np.ndarray:
     """Ascending row numbers: all, or a reproducible random choice of about ``most``, every frame with its share.
 
     Where things have few rows each, all rows of a thing are chosen or none: one row tells nothing beside the thing's place.
@@ -480,14 +484,18 @@ def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
     if len(rows) <= most:
         return np.arange(len(rows))
     rng = np.random.default_rng(0)
-    if groups is not None and (groups.row >= 0).all() and len(rows) < FEWEST * len(np.unique(groups.row)):
+    if (
+        groups is not None
+        and (groups.row >= 0).all()
+        and len(rows) < FEWEST_ROWS_OF_A_FRAME * len(np.unique(groups.row))
+    ):
         order = rng.permutation(len(groups.unknown))[groups.row]
         return np.flatnonzero(order <= np.partition(order, most)[most])
     pair = rows.world * (rows.tip.max() + 1) + rows.tip
     choices = []
     for k in np.unique(pair):
         rows_of_pair = np.flatnonzero(pair == k)
-        share = max(most * len(rows_of_pair) // len(rows), min(len(rows_of_pair), FEWEST))
+        share = max(most * len(rows_of_pair) // len(rows), min(len(rows_of_pair), FEWEST_ROWS_OF_A_FRAME))
         choices.append(rng.choice(rows_of_pair, share, replace=False))
     return np.sort(np.concatenate(choices))
 
@@ -499,7 +507,7 @@ def _of_fewer_coefficients(problem: Problem, kept: Sequence[int]) -> Problem:
     return replace(problem, measured=problem.measured.narrowed(kept))
 
 
-def _noise_of_residuals(combined: Combined, sigma: np.ndarray) -> np.ndarray:
+def _noise_of_residuals(combined: CombinedEquations, sigma: np.ndarray) -> np.ndarray:
     """Noise of each channel from the residuals, shape (C,): the root of squares over the remaining degrees of freedom."""
     equations = combined.equations
     freedom = equations.count - equations.spent(inverse(combined.information(sigma), ridge=0.0), sigma)

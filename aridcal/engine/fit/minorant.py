@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.engine.fit.normal_equations import shortest
-from aridcal.engine.numerics import HALVINGS, STEPS
+from aridcal.engine.numerics import MOST_ITERATIONS, STEP_HALVINGS
 
-SETTLED = 0.03
+LAST_BOUND_GAIN = 0.03
 """Work: [nat]: a step that promises less is the last. What is left is found with the true likelihood."""
 
 
@@ -58,7 +58,7 @@ class Bound:
         active = np.flatnonzero(free)
         B, low, at = self.blocks[active], low[active], theta[active]
         value, inverse = self._of(B, at)
-        for _ in range(STEPS if np.isfinite(value) else 0):
+        for _ in range(MOST_ITERATIONS if np.isfinite(value) else 0):
             # tr(V^-1 (M - V) V^-1 B_k) / 2 and tr(V^-1 B_k V^-1 B_l) / 2.
             flat = B.reshape(len(active), -1)
             score = 0.5 * (flat @ (inverse @ self.M @ inverse - inverse).ravel())
@@ -68,10 +68,10 @@ class Bound:
             moving = ~((at <= low) & (score <= 0.0))
             step = np.zeros(len(active))
             step[moving] = shortest(information[np.ix_(moving, moving)], score[moving])
-            if float(score @ step) < SETTLED:
+            if float(score @ step) < LAST_BOUND_GAIN:
                 at = np.maximum(at + step, low)
                 break
-            for _ in range(HALVINGS):
+            for _ in range(STEP_HALVINGS):
                 stepped = np.maximum(at + step, low)
                 there, inner = self._of(B, stepped)
                 if there >= value:

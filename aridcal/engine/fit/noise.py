@@ -11,14 +11,14 @@ from aridcal.engine.instruments.channels import TARGET_POSITION, columns
 from aridcal.engine.levels import CERTAINLY, SURELY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.repeats import by_appearance, first_alike
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 
 WORTH_SAYING = 0.2
 """Logarithm of the ratio of seen to declared noise that is worth a word: people state their noise to about 20 %."""
 
 
 @dataclass(frozen=True)
-class Repeats:
+class RepeatScatter:
     """Rows that repeat a configuration (ISO 9283's attained poses).
 
     Attributes:
@@ -37,7 +37,7 @@ class Repeats:
     repeatability: float
 
 
-def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
+def repeats(rows: Dataset, residual: np.ndarray) -> RepeatScatter | None:
     """Scatter of rows that repeat a configuration; None where none does.
 
     Residuals, not raw poses, are compared: readings of repeats differ a little, and the model predicts the difference. Repeats
@@ -72,7 +72,7 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
             distances.append(np.linalg.norm(off[there][:, part], axis=1) * np.sqrt(n[there] / (n[there] - 1.0)))
     distance = np.concatenate(distances)
     spread = float(distance.mean() + 3.0 * distance.std(ddof=1)) if len(distance) else np.nan
-    return Repeats(groups, int(repeated.sum()), np.array(sigma), np.array(freedom), spread)
+    return RepeatScatter(groups, int(repeated.sum()), np.array(sigma), np.array(freedom), spread)
 
 
 def copies(rows: Dataset) -> np.ndarray:
@@ -108,7 +108,7 @@ def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Se
         numbers: Degrees of freedom behind it.
     """
     notices = []
-    for channel, ratio in zip(rows.channels, contradicted(rows, estimated, numbers).tolist(), strict=True):
+    for channel, ratio in zip(rows.channels, noise_ratio(rows, estimated, numbers).tolist(), strict=True):
         if ratio != 1.0:
             small = "an error remains, or the declared noise is too small"
             meaning = small if ratio > 1 else "the declared noise is too large"
@@ -116,7 +116,7 @@ def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Se
     return notices
 
 
-def contradicted(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.ndarray:
+def noise_ratio(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.ndarray:
     """Ratio of the residuals' noise to the declared, shape (C,); 1 for channels where chance explains the difference.
 
     Arguments as for :func:`declared_notices`.
@@ -128,7 +128,7 @@ def contradicted(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.nda
 
 def _of_one_place(rows: Dataset) -> np.ndarray:
     """Number of each row's place and thing together, shape (N,): marks of one image are different things."""
-    return by_appearance(first_alike([held_together(rows), rows.labels.block, *rows.labels.refers.T]))
+    return by_appearance(first_alike([held_back_groups(rows), rows.labels.block, *rows.labels.refers.T]))
 
 
 def independent_share(rows: Dataset, residual: np.ndarray) -> float:
@@ -168,7 +168,7 @@ def independent_share(rows: Dataset, residual: np.ndarray) -> float:
     return float(np.sum(count / (1.0 + (count - 1) * correlation)) / len(rows))
 
 
-def carried(J: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def covariance_of_rows(J: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     r""":math:`J \Sigma J^T` of each row, shape (N, m, m).
 
     Args:

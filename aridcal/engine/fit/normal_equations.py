@@ -20,15 +20,15 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotri, dpotrs, dtrtri
 
 from aridcal.engine.numerics import RANK, RIDGE, TINY
 
-UNTOLD = 1e-10
+UNDETERMINED_SHARE = 1e-10
 """Work: Share of the largest eigenvalue of a group's equations, each unknown scaled to 1, below which a direction is
 rounding."""
 
-SURE = 10.0
+CONDITION_MARGIN = 10.0
 """Work: Times the share that eigenvalues must reach above which LAPACK's estimate of the reciprocal condition says that all of
 them do: it is rarely off by more than 3 (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 15.3)."""
 
-BORDERED = 1e-7
+BORDERED_PULL_SHARE = 1e-7
 """Work: Share of the pull, unknowns scaled alike, that a solution from a known inverse may leave: else all are solved for
 anew."""
 
@@ -129,7 +129,7 @@ def directions(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     size = np.sqrt(np.einsum("guu->gu", H))
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
-    informed = values > UNTOLD * np.maximum(values[:, -1:], TINY)
+    informed = values > UNDETERMINED_SHARE * np.maximum(values[:, -1:], TINY)
     return np.where(informed, values, np.inf), vectors, scale
 
 
@@ -239,7 +239,7 @@ def root_of_inverse(M: np.ndarray, share: float) -> np.ndarray:
     S, scale = balanced(M)
     S[:, scale == 0.0] = 0.0
     factor, failed = dpotrf(S.T, lower=1)
-    if not failed and dpocon(factor, np.abs(S).sum(axis=0).max(), uplo="L")[0] > SURE * share:
+    if not failed and dpocon(factor, np.abs(S).sum(axis=0).max(), uplo="L")[0] > CONDITION_MARGIN * share:
         return np.asarray(dtrtri(factor, lower=1)[0] * scale)
     values, vectors = np.linalg.eigh(S)
     informed = values > share * max(float(values[-1]), np.finfo(float).tiny)
@@ -296,7 +296,7 @@ def added(
     last = S @ (g[K:] - W.T @ g[:K])
     theta = np.concatenate([inverse_before @ g[:K] - W @ last, last])
     remainder, size = g - H @ theta, np.maximum(np.diag(H), TINY)
-    if not np.sum(remainder**2 / size) <= BORDERED**2 * np.sum(g**2 / size):  # columns that nearly coincide
+    if not np.sum(remainder**2 / size) <= BORDERED_PULL_SHARE**2 * np.sum(g**2 / size):  # columns that nearly coincide
         theta = solve(H, g, ridge=RIDGE)
     cross = np.swapaxes(W.T @ equations.AA[:, :K, K:], 1, 2)
     more = W.T @ equations.AA[:, :K, :K] @ W - cross - np.swapaxes(cross, 1, 2) + equations.AA[:, K:, K:]
@@ -325,7 +325,7 @@ class Prior:
         return _both_sides(self.basis, self.precision)
 
 
-class Combined:
+class CombinedEquations:
     """Equations of a step of K coefficients in the combinations that a prior holds independent.
 
     With B the prior's basis, :math:`B^T A_c^T A_c B` is computed once; each trial of a noise costs a sum over channels.

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.engine.fit.elimination import Groups, Known, groups, known, moved
-from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.elimination import Groups, PriorRows, groups, prior_rows, states_after_step
+from aridcal.engine.fit.noise import covariance_of_rows
 from aridcal.engine.instruments.channels import Channels
 from aridcal.engine.instruments.setup import Instruments
-from aridcal.engine.model.local import Local
-from aridcal.engine.model.many_rows import BLOCK, blocks
-from aridcal.engine.model.model import Model, Rows
-from aridcal.engine.model.predictions import Measured, States, measured, rows_at
+from aridcal.engine.model.local import LocalColumns
+from aridcal.engine.model.many_rows import ROWS_PER_BLOCK, blocks
+from aridcal.engine.model.model import Model, ModelRows
+from aridcal.engine.model.predictions import Observations, ThingStates, observations_of, rows_at
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.progress import SILENT, Progress
 
@@ -48,7 +48,7 @@ class Problem:
     """
 
     data: Dataset
-    measured: Measured
+    measured: Observations
     groups: Groups | None = None
     progress: Progress = SILENT
 
@@ -61,12 +61,12 @@ class Problem:
         return self.measured.model
 
     @property
-    def rows(self) -> Rows:
+    def rows(self) -> ModelRows:
         """The rows as the model sees them."""
         return self.measured.rows
 
     @property
-    def states(self) -> States:
+    def states(self) -> ThingStates:
         """Where the things are."""
         return self.measured.states
 
@@ -82,7 +82,7 @@ class Problem:
 
     def blocks(self) -> Iterator[slice]:
         """Stretches of rows that are differentiated at a time; each is reported to ``progress``."""
-        yield from self.progress.through(blocks(len(self)), len(self), "rows", BLOCK)
+        yield from self.progress.through(blocks(len(self)), len(self), "rows", ROWS_PER_BLOCK)
 
     def limbs(self, part: slice) -> list[slice | np.ndarray]:
         """Rows of a stretch grouped by the path that they take, as their places in the stretch."""
@@ -96,12 +96,12 @@ class Problem:
         groups = None if self.groups is None else self.groups.select(some)
         return replace(self, data=self.data.select(some), measured=self.measured[some], groups=groups)
 
-    def with_states(self, states: States) -> Problem:
+    def with_states(self, states: ThingStates) -> Problem:
         """The problem with the things at other places."""
         return replace(self, measured=replace(self.measured, states=states))
 
     def residual(self, theta: np.ndarray) -> np.ndarray:
-        """Measured minus predicted, shape (N, m); see :meth:`Measured.residual`."""
+        """Measured minus predicted, shape (N, m); see :meth:`Observations.residual`."""
         return self.measured.residual(theta)
 
     def scaled_residual(self, theta: np.ndarray) -> np.ndarray:
@@ -136,11 +136,11 @@ class Problem:
         """Covariance that the coefficients' covariance, (K, K), gives the predictions of a stretch of rows, scaled, (n, m, m)."""
         local = self.local
         if local is None:
-            return carried(self.pieces(theta, part).J, covariance)
+            return covariance_of_rows(self.pieces(theta, part).J, covariance)
         return local.carried(self.of_joints(theta, part)[1], self.rows.phi[part], covariance)
 
     @property
-    def local(self) -> Local | None:
+    def local(self) -> LocalColumns | None:
         """Which coefficients act in few rows, if direct rows are many; None where a column for each coefficient is quicker."""
         return self.model.local if self.measured.direct else None
 
@@ -159,9 +159,9 @@ class Problem:
         """Group of each of a stretch of rows, -1 for none."""
         return self.groups.row[part] if self.groups is not None else np.full(len(self.rows[part]), -1)
 
-    def beforehand(self) -> Known | None:
+    def beforehand(self) -> PriorRows | None:
         """Prior knowledge of the groups, linearised where their things are; None without groups."""
-        return None if self.groups is None else known(self.groups, self.instruments, self.states)
+        return None if self.groups is None else prior_rows(self.groups, self.instruments, self.states)
 
     def settled(self, theta: np.ndarray) -> Problem:
         """The problem with things that the model does not know put where these rows alone have them."""
@@ -169,7 +169,9 @@ class Problem:
 
     def stepped(self, step: np.ndarray, agreed: np.ndarray | None = None) -> Problem:
         """The problem after a step of the groups' unknowns, (G, U); differentiated at joint positions (N, joints) if given."""
-        states = self.states if self.groups is None else moved(self.states, self.groups, self.instruments, step)
+        states = (
+            self.states if self.groups is None else states_after_step(self.states, self.groups, self.instruments, step)
+        )
         predictions = replace(self.measured, states=states)
         if agreed is not None:
             predictions = replace(
@@ -177,12 +179,12 @@ class Problem:
             )
         return replace(self, measured=predictions)
 
-    def _rows_at(self, positions: np.ndarray) -> Rows:
+    def _rows_at(self, positions: np.ndarray) -> ModelRows:
         """The rows at other joint positions, shape (N, joints)."""
         return rows_at(self.measured, self.data, positions)
 
     def agreeing(self, theta: np.ndarray) -> Problem:
-        """The problem differentiated where measurements and model agree; see :meth:`Measured.agreeing`."""
+        """The problem differentiated where measurements and model agree; see :meth:`Observations.agreeing`."""
         if self.measured.agreed is not None:
             return self
         return replace(self, measured=self.measured.agreeing(theta, self._rows_at))
@@ -195,7 +197,7 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station is none of those that the model knows.
     """
-    predictions = measured(model, data)
+    predictions = observations_of(model, data)
     return Problem(data, predictions, groups(predictions), progress)
 
 

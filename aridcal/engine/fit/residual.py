@@ -13,18 +13,18 @@ from aridcal.engine.fit.normal_equations import NormalEquations
 from aridcal.engine.fit.problem import Problem, scaled
 from aridcal.engine.instruments.channels import Channels, columns, spread
 
-THINGS = 4
+THING_STEPS = 4
 """Work: Steps that find things anew where the coefficients stay; their rows are nearly linear in them."""
 
-MANY = 300
+MANY_COEFFICIENTS = 300
 """Work: Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer
 cost less than the search for them."""
 
-NUMBERS = 1024
+NUMBERS_PER_QR = 1024
 """Work: Numbers of a QR at a time: of 50 columns these take 0.4 MB."""
 
 
-def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
+def scaled_columns(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
     """Columns of the last coefficients in the scaled residuals, things held, shape (N, m, count)."""
     size = sum(channel.size for channel in question.channels)
     J = np.empty((len(question), size, count))
@@ -103,7 +103,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         if sums is not None:
             root_of_rows, group = root[:, :, None], question.group_of(block)
             sums.add(group, B * root_of_rows, J * root_of_rows, r * root, channels)
-        for rows, some, X in _by_limb(question, block, J, MANY):
+        for rows, some, X in _by_limb(question, block, J, MANY_COEFFICIENTS):
             for k, part in enumerate(columns(channels)):
                 # Number by number: rows run fastest in J, or slowest.
                 A = (X[:, part] * root[rows, :, None]).transpose(1, 2, 0)
@@ -149,7 +149,7 @@ def weighted_squares(residual: np.ndarray, weight: np.ndarray, channels: Channel
     return np.array([float(each[part].sum()) for part in columns(channels)])
 
 
-def eliminated(
+def reduced_stretches(
     question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
     """Stretches of rows with their scaled residuals (n, m) and columns (n, m, K), less the part that the things take up.
@@ -167,7 +167,7 @@ def eliminated(
 def _with_things(
     question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray
 ) -> tuple[Problem, Elimination | None]:
-    """The question where measurements and model agree, and its groups solved; arguments as for :func:`eliminated`."""
+    """The question where measurements and model agree, and its groups solved; arguments as for :func:`reduced_stretches`."""
     question = question.agreeing(theta)
     return question, None if question.groups is None else linearise(question, theta, weight, sigma).groups
 
@@ -175,7 +175,7 @@ def _with_things(
 def _without_things(
     question: Problem, theta: np.ndarray, things: Elimination | None
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """Stretches as of :func:`eliminated`, for groups that are solved."""
+    """Stretches as of :func:`reduced_stretches`, for groups that are solved."""
     for block in question.blocks():
         part = question.pieces(theta, block)
         if things is None:
@@ -184,7 +184,7 @@ def _without_things(
             yield block, *things.rows(question.group_of(block), part.B, part.J, part.r)
 
 
-def taking_off(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> Projector | None:
+def thing_projector(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> Projector | None:
     """The projector that takes the unknowns of things off columns of all rows; None without unknown things."""
     question, things = _with_things(question, theta, weight, sigma)
     if things is None:
@@ -216,8 +216,8 @@ def triangle(
         parts = [R]
         for _, some, X in _by_limb(question, block, whitened):
             flat = X.reshape(X.shape[0] * X.shape[1], len(some))
-            for start in range(0, len(flat), NUMBERS):
-                triangle_of_part = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
+            for start in range(0, len(flat), NUMBERS_PER_QR):
+                triangle_of_part = np.linalg.qr(flat[start : start + NUMBERS_PER_QR], mode="r")
                 parts.append(np.zeros((len(triangle_of_part), count)))
                 parts[-1][:, some] = triangle_of_part
         R = np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
@@ -239,7 +239,7 @@ def _by_limb(
         yield rows, some, columns_of_limb[:, :, some] if len(some) < J.shape[2] else columns_of_limb
 
 
-def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
+def problem_with_things(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
     """The problem with its things solved for anew at the coefficients theta.
 
     Args:
@@ -253,7 +253,7 @@ def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None
     R, p = question.model.poses(theta, question.rows)
     question = question.settled(theta)
     channels, everything = question.channels, slice(None)
-    for _ in range(THINGS):
+    for _ in range(THING_STEPS):
         slopes = question.measured.slopes(R, p, theta)
         r = scaled(slopes.residual, question.data.relative)
         B = scaled(groups.columns(slopes.by_thing, everything), question.data.relative)

@@ -2,7 +2,7 @@ r"""Residuals, the components of their scatter, and the restricted likelihood of
 
 Formulas and references: :mod:`aridcal.engine.fit.variance_components`, which maximises it. Most of the work is one product
 U'U of the whitened columns, and one triangular solve with as many numbers. With columns that are orthonormal somewhere near
-(:func:`conditioned`) both are well conditioned, and single precision, which is twice as fast, has digits enough.
+(:func:`scatter_near`) both are well conditioned, and single precision, which is twice as fast, has digits enough.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from scipy.sparse import coo_array, csr_array
 from aridcal.engine.fit.normal_equations import balanced, directions
 from aridcal.engine.numerics import RANK
 
-UNTOLD = 1e-3
+LEAST_INFORMATION = 1e-3
 """Work: Information on a mode of unit prior, from all rows together, below which it is left out: it takes up less than a
 thousandth of one number, and every mode costs as much as one that takes up one."""
 
-EVEN = 1e-2
+SINGLE_PRECISION_SHARE = 1e-2
 """Work: Share of a column, the others before it taken off, that must be left for single precision to do: rounding, 1e-7 of the
 columns, is then 1e-5 of what is left."""
 
 
 @dataclass(frozen=True)
-class Columns:
+class ResidualColumns:
     """Residuals and the columns that are fitted to them, N rows of m numbers, K columns.
 
     Attributes:
@@ -63,7 +63,7 @@ class Scatter:
         things: Columns of the unknowns of the row's clump, shape (N, m, U), of full rank in the clump or 0; None where
             there are none.
         clump: Of each row, shape (N,), -1 for none.
-        near: The same residuals and columns combined and in single precision, for speed; see :func:`conditioned`.
+        near: The same residuals and columns combined and in single precision, for speed; see :func:`scatter_near`.
     """
 
     y: np.ndarray
@@ -72,12 +72,12 @@ class Scatter:
     blocks: np.ndarray
     things: np.ndarray | None = None
     clump: np.ndarray | None = None
-    near: Columns | None = None
+    near: ResidualColumns | None = None
 
     @property
-    def columns(self) -> Columns:
+    def columns(self) -> ResidualColumns:
         """Residuals and columns as they are, not conditioned."""
-        return Columns(self.y, self.A, self.precision, None, np.zeros(self.A.shape[2]), 0.0)
+        return ResidualColumns(self.y, self.A, self.precision, None, np.zeros(self.A.shape[2]), 0.0)
 
     @cached_property
     def fixed(self) -> np.ndarray:
@@ -108,7 +108,7 @@ def full_rank(scatter: Scatter) -> Scatter:
     return replace(scatter, things=B @ turned[scatter.clump])
 
 
-def told_modes(column: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+def determined_modes(column: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Orthonormal combinations of modes of unit prior that the rows determine at all, shape (modes, combinations).
 
     Args:
@@ -117,11 +117,11 @@ def told_modes(column: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """
     white = (column / sigma[:, None]).reshape(-1, column.shape[2])
     information, vectors = np.linalg.eigh(white.T @ white)
-    return np.asarray(vectors[:, information > UNTOLD])
+    return np.asarray(vectors[:, information > LEAST_INFORMATION])
 
 
 @dataclass(frozen=True)
-class Place:
+class LikelihoodPoint:
     """The likelihood at some variances: N rows of m numbers, K columns.
 
     Attributes:
@@ -148,7 +148,7 @@ class _White:
     Attributes:
         L: Cholesky factors of their covariances, shape (N, m, m).
         root: Inverses of these, shape (N, m, m).
-        Q: See :class:`Place`.
+        Q: See :class:`LikelihoodPoint`.
         logdet: Of the covariances and of the things' equations.
     """
 
@@ -158,7 +158,7 @@ class _White:
     logdet: float
 
 
-def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
+def scatter_near(scatter: Scatter, variance: np.ndarray) -> Scatter:
     """The scatter with ``near`` set: columns that are orthonormal at some variances, shape (C,), and residuals small there."""
     white, plain = _whiten(scatter, variance), scatter.columns
     if white is None:
@@ -173,16 +173,16 @@ def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
     slope = precision @ t
     offset = _logdet(factor, scale) + float(slope @ t)
     A = T.astype(np.float32).reshape(scatter.A.shape)
-    return replace(scatter, near=Columns(remainder, A, precision, white.L, slope, offset))
+    return replace(scatter, near=ResidualColumns(remainder, A, precision, white.L, slope, offset))
 
 
-def place(scatter: Scatter, theta: np.ndarray) -> Place:
+def place(scatter: Scatter, theta: np.ndarray) -> LikelihoodPoint:
     """The likelihood at some variances, shape (C,); minus infinity where the covariance of a row is not positive."""
     n, m, count = scatter.A.shape
     white = _whiten(scatter, theta)
     if white is None:
         nothing = np.zeros((n, m, m))
-        return Place(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)), None)
+        return LikelihoodPoint(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)), None)
     columns, U, z, factor, scale = _equations(scatter, white)
     t = solve_triangular(factor, scale * (z.astype(U.dtype) @ U - columns.slope), lower=True, check_finite=False)
     best = scale * solve_triangular(factor, t, trans=1, lower=True, check_finite=False)
@@ -198,7 +198,7 @@ def place(scatter: Scatter, theta: np.ndarray) -> Place:
     # Not z'z less t't: rounding may exceed the difference.
     squares = float(e @ e) + float(best @ (columns.precision @ best + 2.0 * columns.slope))
     value = -0.5 * (logdet + squares + columns.offset)
-    return Place(value, pull[:, :, 0], back @ projection @ white.root, white.root, T, white.Q)
+    return LikelihoodPoint(value, pull[:, :, 0], back @ projection @ white.root, white.root, T, white.Q)
 
 
 def _whiten(scatter: Scatter, theta: np.ndarray) -> _White | None:
@@ -238,7 +238,9 @@ def _of_clumps(scatter: Scatter, Q: np.ndarray, values: np.ndarray) -> np.ndarra
     return scatter.summed(Q.transpose(0, 2, 1) @ values)
 
 
-def _equations(scatter: Scatter, white: _White) -> tuple[Columns, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _equations(
+    scatter: Scatter, white: _White
+) -> tuple[ResidualColumns, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Columns that are precise enough; these whitened, (N m, K); residuals, (N m,); factor and scale of their equations."""
     if scatter.near is not None:
         U, z = _whitened(scatter, white, scatter.near)
@@ -246,14 +248,14 @@ def _equations(scatter: Scatter, white: _White) -> tuple[Columns, np.ndarray, np
             return scatter.near, U, z, np.eye(U.shape[1]), np.ones(U.shape[1])
         H, scale = balanced(U.T @ U + scatter.near.precision, RANK)
         factor, failed = dpotrf(H.T, lower=1)
-        if not failed and np.diag(factor).min() ** 2 > EVEN:
+        if not failed and np.diag(factor).min() ** 2 > SINGLE_PRECISION_SHARE:
             return scatter.near, U, z, factor, scale
     U, z = _whitened(scatter, white, scatter.columns)
     H, scale = balanced(U.T @ U + scatter.precision, RANK)
     return scatter.columns, U, z, np.linalg.cholesky(H), scale
 
 
-def _whitened(scatter: Scatter, white: _White, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
+def _whitened(scatter: Scatter, white: _White, columns: ResidualColumns) -> tuple[np.ndarray, np.ndarray]:
     """Columns (not copied if they are so already), (N m, K), and residuals, (N m,), in units of the scatter, less things."""
     U, z = columns.A, white.root @ columns.y[:, :, None]
     there = columns.units is not None and np.array_equal(white.L, columns.units)  # then they are so already
@@ -281,7 +283,7 @@ def _logdet(factor: np.ndarray, scale: np.ndarray) -> float:
     return 2.0 * float(np.sum(np.log(np.diag(factor))) - np.sum(np.log(scale[scale > 0.0])))
 
 
-def derivatives(scatter: Scatter, here: Place, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def derivatives(scatter: Scatter, here: LikelihoodPoint, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Score, shape (C,), and average information, shape (C, C), of some components, shape (C,) bool; 0 for the others."""
     blocks = scatter.blocks[of]
     moved = (blocks @ here.pull[:, :, None])[:, :, :, 0]

@@ -16,17 +16,17 @@ from aridcal.engine.fit.least_squares import thin
 from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.scatter import Scatter, full_rank
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.repeats import by_appearance, first_alike, seen_before
+from aridcal.engine.rows.repeats import by_appearance, earlier_occurrences, first_alike
 
-OF_ONE = 24
+MOST_STANDSTILL_ROWS = 24
 """Work: Rows of one standstill that are asked about at the most: an error that is common to them shows in these, and a
 covariance costs the cube of its numbers."""
 
-COLUMNS = 120
+MOST_CLUMP_UNKNOWNS = 120
 """Work: Unknowns of things in one clump at the most, if it has several groups: forty markers seen together. More would be
 columns of all their images, and tell no more of a reading that these images share."""
 
-OF_A_THING = 10
+ROWS_LEFT_OF_A_THING = 10
 """Work: Rows of each group that a random choice of rows must leave on the average: else whole groups are chosen, for one row of
 a thing tells of nothing else."""
 
@@ -41,7 +41,7 @@ def standstills(rows: Dataset) -> np.ndarray:
         return np.arange(len(rows))
     target = np.zeros(len(rows), dtype=str) if rows.labels.target is None else rows.labels.target
     same = first_alike([*rows.readings.T, rows.labels.block, target, *rows.labels.refers.T])
-    return by_appearance(first_alike([*rows.readings.T, seen_before(same)]))
+    return by_appearance(first_alike([*rows.readings.T, earlier_occurrences(same)]))
 
 
 def clumps(standstill: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -88,19 +88,19 @@ def _of_things(question: Problem, most: int) -> np.ndarray:
     if question.groups is not None:
         candidates = np.flatnonzero(_few_enough(clumps(number, group), group, question.groups.unknown.sum(axis=1)))
     mixed = np.random.RandomState(0).permutation(candidates)
-    candidates = np.sort(mixed[seen_before(number[mixed]) < OF_ONE])
+    candidates = np.sort(mixed[earlier_occurrences(number[mixed]) < MOST_STANDSTILL_ROWS])
     if len(candidates) <= most:
         return candidates
     stills = np.unique(number[candidates])
     pairs_of_groups = np.unique(np.column_stack([number, group])[candidates], axis=0)
-    by_group = len(pairs_of_groups) == len(stills) and most < OF_A_THING * len(np.unique(group[candidates]))
+    by_group = len(pairs_of_groups) == len(stills) and most < ROWS_LEFT_OF_A_THING * len(np.unique(group[candidates]))
     _, piece = np.unique((group if by_group else number)[candidates], return_inverse=True)
     turn = rng.permutation(int(piece.max()) + 1)[piece]
     return np.asarray(candidates[turn <= np.partition(turn, most)[most]])
 
 
 def _few_enough(clump: np.ndarray, group: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Rows of no group, and of each clump's groups, those with most rows first, up to :data:`COLUMNS` unknowns, (N,) bool.
+    """Rows of no group, and of each clump's groups, the largest up to :data:`MOST_CLUMP_UNKNOWNS` unknowns, (N,) bool.
 
     Args:
         clump: Of each row, shape (N,).
@@ -113,7 +113,7 @@ def _few_enough(clump: np.ndarray, group: np.ndarray, size: np.ndarray) -> np.nd
     order = np.lexsort((groups, -count, of_clump))
     groups, of_clump = groups[order], of_clump[order]
     before = _sum_before(of_clump, size[groups])
-    return np.asarray(keep | np.isin(group, groups[(before == 0) | (before + size[groups] <= COLUMNS)]))
+    return np.asarray(keep | np.isin(group, groups[(before == 0) | (before + size[groups] <= MOST_CLUMP_UNKNOWNS)]))
 
 
 def _sum_before(label: np.ndarray, size: np.ndarray) -> np.ndarray:
@@ -224,7 +224,7 @@ def with_things(scatter: Scatter, part: Problem, B: np.ndarray, still: Stack) ->
     facts = np.zeros((count, still.width, unknown.shape[1]))
     facts[:, 0] = beforehand.by[of_groups]
     y = np.zeros((count, still.width))
-    y[:, 0] = beforehand.left[of_groups]
+    y[:, 0] = beforehand.misfit[of_groups]
     behind = replace(
         scatter,
         y=np.concatenate([scatter.y, y]),

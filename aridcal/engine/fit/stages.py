@@ -15,11 +15,11 @@ from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable, minimis
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import Problem, problem, unscaled
 from aridcal.engine.fit.question import EndFrame, Question
-from aridcal.engine.fit.thing_starts import MOST_ROWS, NominalRows, beginning
+from aridcal.engine.fit.thing_starts import MOST_THING_ROWS, NominalRows, start_values
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.instruments.setup import TIP
 from aridcal.engine.model.model import Model
-from aridcal.engine.model.predictions import measured, rows_of_data
+from aridcal.engine.model.predictions import observations_of, rows_of_data
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
@@ -35,16 +35,16 @@ STRANGE_PIXELS = 40.0
 RESTART_ROWS = 150
 """Work: Rows of a restart, or four times the coefficients if that is more: where a minimum lies shows in these."""
 
-AROUND = 2
+DRAWN_STARTS = 2
 """Work: Starts that are drawn around the answer."""
 
 REACH_ANGLE, REACH_LENGTH = 0.05, 0.02
 """Work: How far from the answer those are, [rad] and [m]: ten times what robots are usually wrong by."""
 
-SAME = 0.01
+SAME_RESIDUAL_SHARE = 0.01
 """Work: Share of sigma by which residuals of one minimum may differ."""
 
-LENGTHS = frozenset({"x", "y", "z", "a", "d"})
+LENGTH_COMPONENTS = frozenset({"x", "y", "z", "a", "d"})
 """Components in [m]."""
 
 
@@ -102,7 +102,7 @@ def fit_geometry(
 def _lengths_and_angles(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], list[int]]:
     """Indices of the constants that are lengths, and of those that are angles; the frames before them are neither."""
     constants = range(frames, len(candidates))
-    lengths = [k for k in constants if candidates[k].component in LENGTHS]
+    lengths = [k for k in constants if candidates[k].component in LENGTH_COMPONENTS]
     return lengths, [k for k in constants if k not in set(lengths)]
 
 
@@ -111,14 +111,14 @@ def _start(
 ) -> Model:
     """The nominal robot with starts of its frames and of the things that its measurements refer to."""
     bare = Model(robot, (), instruments=train.instruments, routes=train.labels.routes)
-    predictions = measured(bare, train)
+    predictions = observations_of(bare, train)
     world, tip = question.world_base, question.tip_target
     names = frame_labels("tip_target", tip, labels, train)
     station, number = (_frame_of_each_row(frame, train, labels) for frame in (world, tip))
     if train.labels.target is not None:
         number = np.searchsorted(np.array(names), train.labels.target.astype(str))
     if predictions.direct:
-        some = thin(replace(predictions.rows, world=station, tip=number), MOST_ROWS)
+        some = thin(replace(predictions.rows, world=station, tip=number), MOST_THING_ROWS)
         train, predictions, station, number = train.select(some), predictions[some], station[some], number[some]
     R, p = bare.poses(np.zeros(0), predictions.rows)
     hints = {k: pin.SE3.Identity() if name == TIP else question.target(name).at for k, name in enumerate(names)}
@@ -127,7 +127,7 @@ def _start(
         k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not question.target(names[k]).unknown
     }
     known_world = None if world.unknown and has_world(train) else world.at
-    start = beginning(NominalRows(train, predictions, R, p, number, hints, known_targets, station, known_world))
+    start = start_values(NominalRows(train, predictions, R, p, number, hints, known_targets, station, known_world))
     return Model(
         robot,
         frames,
@@ -147,8 +147,8 @@ def nominal_sigma(question: Question, robot: Robot, rows: Dataset, labels: tuple
         Robust sigma of each channel, shape (C,), [m] and [rad] per axis.
     """
     model = _start(question, robot, rows, labels, ())
-    some = thin(rows_of_data(model, rows), MOST_ROWS)
-    return robust_sigma(measured(model, rows.select(some)).residual(np.zeros(0)), rows.channels)
+    some = thin(rows_of_data(model, rows), MOST_THING_ROWS)
+    return robust_sigma(observations_of(model, rows.select(some)).residual(np.zeros(0)), rows.channels)
 
 
 def with_things_moved(geometric: Fit, final: Fit) -> Model | None:
@@ -231,13 +231,13 @@ def with_restarts(
     weight = fit.weight[some]
     prior = Prior(np.zeros(len(fit.theta)), fit.believed) if fit.believed.any() else None
     reference = minimise(part, fit.theta, weight, prior)
-    is_length = np.array([c.component in LENGTHS for c in fit.model.coefficients])
+    is_length = np.array([c.component in LENGTH_COMPONENTS for c in fit.model.coefficients])
     reach = np.where(is_length, REACH_LENGTH, REACH_ANGLE)
     reach[fit.model.sizes != 1.0] = 0.0  # a lens is not started from elsewhere
     rng = np.random.default_rng(0)
-    others = [fit.theta + reach * rng.uniform(-1, 1, len(reach)) for _ in range(AROUND)]
+    others = [fit.theta + reach * rng.uniform(-1, 1, len(reach)) for _ in range(DRAWN_STARTS)]
     others += starts(fit, part.data)
-    tolerance = SAME * spread(reference.sigma, train.channels)
+    tolerance = SAME_RESIDUAL_SHARE * spread(reference.sigma, train.channels)
     agreed = 0
     for theta in progress.over(others, "other starts"):
         other = minimise(part, theta, weight, prior)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from aridcal.engine.levels import STRONG
-from aridcal.engine.numerics import STEPS
+from aridcal.engine.numerics import MOST_ITERATIONS
 
 FREEDOMS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
 """Work: Degrees of freedom that are tried: from Cauchy's to such as hundreds of rows cannot tell from normal noise."""
@@ -77,7 +77,7 @@ def tails_of(squares: np.ndarray, size: int) -> Tails | None:
     best, tails = normal + STRONG, None
     for freedom in FREEDOMS:
         variance = middle / size
-        for _ in range(STEPS):
+        for _ in range(MOST_ITERATIONS):
             variance = float(np.mean(weights(squares / variance, size, freedom) * squares)) / size
         value = float(np.sum(log_density(squares / variance, size, freedom)))
         value -= 0.5 * size * len(squares) * np.log(variance)

@@ -10,25 +10,25 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.fit.frame_starts import PoseRows, best_start
-from aridcal.engine.instruments.descent import Place
+from aridcal.engine.instruments.descent import DescentPoint
 from aridcal.engine.instruments.inclination import DOWN
-from aridcal.engine.instruments.kind import Kind
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kind import MeasurementKind
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import Things
 from aridcal.engine.instruments.starts import aligned, starts
-from aridcal.engine.model.predictions import Measured
+from aridcal.engine.model.predictions import Observations
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import MeasurementError, NotIdentifiable
 
-MOST_ROWS = 1000
+MOST_THING_ROWS = 1000
 """Work: Rows of a block that a start is found from: more sharpen it by nothing."""
 
-FEWEST_ROWS = 12
+FEWEST_ROWS_OF_A_THING = 12
 """Work: Rows of each thing in this choice."""
 
 
 @dataclass(frozen=True)
-class Beginning:
+class StartValues:
     """Where everything starts.
 
     Attributes:
@@ -59,7 +59,7 @@ class NominalRows:
     """
 
     data: Dataset
-    predictions: Measured
+    predictions: Observations
     R: np.ndarray
     p: np.ndarray
     tip: np.ndarray
@@ -71,12 +71,12 @@ class NominalRows:
     def start(
         self,
         some: np.ndarray,
-        kind: Kind,
+        kind: MeasurementKind,
         things: Mapping[str, Things],
         base: pin.SE3,
         target: pin.SE3,
         target_known: bool,
-    ) -> Place:
+    ) -> DescentPoint:
         """The best start from some rows of one block, the arm standing on a base; ``target_known`` if the target's place is."""
         turned = base.rotation @ self.R[some]
         places = self.p[some] @ base.rotation.T + base.translation
@@ -88,7 +88,7 @@ class NominalRows:
         return candidates[0]
 
 
-def beginning(rows: NominalRows) -> Beginning:
+def start_values(rows: NominalRows) -> StartValues:
     """Find a start.
 
     Raises:
@@ -96,7 +96,7 @@ def beginning(rows: NominalRows) -> Beginning:
     """
     predictions, hints = rows.predictions, rows.hints
     stands = (rows.world or pin.SE3.Identity(),) * (int(rows.station.max(initial=0)) + 1)
-    at = Beginning(stands, dict(rows.known_targets), {n: t.start for n, t in predictions.instruments.things.items()})
+    at = StartValues(stands, dict(rows.known_targets), {n: t.start for n, t in predictions.instruments.things.items()})
     posed = np.flatnonzero(
         np.isin(predictions.block, [b for b, block in enumerate(predictions.blocks) if block.traits.places])
     )
@@ -144,7 +144,7 @@ def beginning(rows: NominalRows) -> Beginning:
 
 
 def _with_missing_states(
-    data: Dataset, predictions: Measured, states: Mapping[str, np.ndarray]
+    data: Dataset, predictions: Observations, states: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
     """States with things that their rows cannot place put at the median of the others: these rows do not notice.
 
@@ -177,7 +177,7 @@ def _level_base(rows: NominalRows, some: np.ndarray) -> pin.SE3:
     target, target_known = rows.known_targets.get(number, rows.hints[number]).homogeneous, number in rows.known_targets
     refers = np.zeros((len(some), 0), dtype=int)
     best, least = DOWN, np.inf
-    for start in starts(KINDS["inclination"], R, rows.p[some], read, refers, {}, target, target_known):
+    for start in starts(MEASUREMENT_KINDS["inclination"], R, rows.p[some], read, refers, {}, target, target_known):
         felt = np.einsum("nij,jk,nk->ni", R, start.target[:3, :3], read)
         down = felt.mean(axis=0) / np.linalg.norm(felt.mean(axis=0))
         spread = float(np.median(np.linalg.norm(felt - down, axis=1)))
@@ -187,7 +187,7 @@ def _level_base(rows: NominalRows, some: np.ndarray) -> pin.SE3:
     return pin.SE3(turn, np.zeros(3))
 
 
-def _from_poses(rows: NominalRows, some: np.ndarray, at: Beginning) -> Beginning:
+def _from_poses(rows: NominalRows, some: np.ndarray, at: StartValues) -> StartValues:
     """Bases and targets from rows that measure poses or positions of targets."""
     numbers, tip = np.unique(rows.tip[some], return_inverse=True)
     M = None if rows.data.rotation is None else rows.data.rotation[some]
@@ -205,7 +205,7 @@ def _from_poses(rows: NominalRows, some: np.ndarray, at: Beginning) -> Beginning
     return replace(at, world_base=best.world_base, tip_target=at.tip_target | starts_of_targets)
 
 
-def _things(kind: Kind, predictions: Measured, states: Mapping[str, np.ndarray]) -> dict[str, Things]:
+def _things(kind: MeasurementKind, predictions: Observations, states: Mapping[str, np.ndarray]) -> dict[str, Things]:
     """Things of a kind's roles at their states; things that have a place by now count as known."""
     things_of_roles = {}
     for role in kind.roles:
@@ -223,7 +223,7 @@ def _with_unknown_places(things: Things) -> Things:
     return replace(things, start=np.full(things.start.shape, np.nan), free=free)
 
 
-def _base_from_things(kind: Kind, start: Place, predictions: Measured) -> pin.SE3 | None:
+def _base_from_things(kind: MeasurementKind, start: DescentPoint, predictions: Observations) -> pin.SE3 | None:
     """T_world_base from things placed in the base frame by a start and in the world's by the campaign; None if too few."""
     for role in kind.roles:
         things = predictions.instruments.things[role.name]
@@ -235,13 +235,13 @@ def _base_from_things(kind: Kind, start: Place, predictions: Measured) -> pin.SE
     return None
 
 
-def _enough_rows(rows: np.ndarray, predictions: Measured, kind: Kind) -> np.ndarray:
+def _enough_rows(rows: np.ndarray, predictions: Observations, kind: MeasurementKind) -> np.ndarray:
     """Row numbers of a choice from a block, each thing with its share."""
-    if len(rows) <= MOST_ROWS or not kind.roles:
-        return rows[:: max(1, len(rows) // MOST_ROWS)]
+    if len(rows) <= MOST_THING_ROWS or not kind.roles:
+        return rows[:: max(1, len(rows) // MOST_THING_ROWS)]
     label = predictions.refers[rows, len(kind.roles) - 1]
     rng = np.random.default_rng(0)
-    share = max(FEWEST_ROWS, MOST_ROWS // len(np.unique(label)))
+    share = max(FEWEST_ROWS_OF_A_THING, MOST_THING_ROWS // len(np.unique(label)))
     order = rng.permutation(len(rows))
     ranked = np.argsort(label[order], kind="stable")
     sizes = np.bincount(label)[np.unique(label)]

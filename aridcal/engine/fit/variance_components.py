@@ -31,34 +31,34 @@ from scipy.special import ndtr
 
 from aridcal.engine.fit.minorant import Bound, moments
 from aridcal.engine.fit.normal_equations import shortest
-from aridcal.engine.fit.scatter import Place, Scatter, covariances, derivatives, place
+from aridcal.engine.fit.scatter import LikelihoodPoint, Scatter, covariances, derivatives, place
 from aridcal.engine.levels import PLAINLY, RARE
-from aridcal.engine.numerics import HALVINGS, STEPS, TINY
+from aridcal.engine.numerics import MOST_ITERATIONS, STEP_HALVINGS, TINY
 
-FAR = 1.0
+FAR_PROMISE = 1.0
 """Work: [nat]: a step of the average information that promises more is not near enough for it to be trusted; a bound is
 maximised instead, which never overshoots."""
 
-SETTLED = 1e-3
+LAST_GAIN = 1e-3
 """Work: [nat] that the maximum may be out by after the last of all steps: a twentieth of a standard deviation."""
 
-ROUGH = 0.1
+ROUGH_GAIN = 0.1
 """Work: [nat]: the same as long as components are added. A likelihood ratio is then out by less than a tenth, and the chance of
 noise by a tenth of itself; what has settled better takes twice the time."""
 
-OFF = 0.1
-"""Work: Share of what a step promises, below :data:`FAR`, by which its gain is off half of that: less in 99 of 100 steps from
-places about the maximum in 60 rows of 4 numbers."""
+PROMISE_ERROR_SHARE = 0.1
+"""Work: Share of what a step promises, below :data:`FAR_PROMISE`, by which its gain is off half of that: less in 99 of 100
+steps from places about the maximum in 60 rows of 4 numbers."""
 
-CLEAR = 0.95
+SAFE_SHARE = 0.95
 """Work: What is less than this share of something is less where variances have settled, too: scores move by a fiftieth until
 then."""
 
-LEAST = 1e-6
+LEAST_VARIANCE_SHARE = 1e-6
 """Work: Share of its start below which the variance of a channel does not fall: a covariance must be positive, and an
 instrument a thousand times better than the scatter is no instrument."""
 
-IMITATED = 0.01
+IMITATION_SHARE = 0.01
 """Share of a component's information that must be its own: with less, those in the model imitate it."""
 
 
@@ -123,17 +123,17 @@ def estimate(scatter: Scatter, channels: np.ndarray, is_channel: np.ndarray) -> 
     """
     start = np.zeros(len(is_channel))
     start[is_channel] = channels
-    return _maximum(scatter, start, is_channel, LEAST * start)
+    return _maximum(scatter, start, is_channel, LEAST_VARIANCE_SHARE * start)
 
 
 def settled(scatter: Scatter, maximum: Components) -> Components:
-    """A maximum known to :data:`ROUGH`, refined to :data:`SETTLED` with the same components."""
-    if maximum.error < SETTLED:
+    """A maximum known to :data:`ROUGH_GAIN`, refined to :data:`LAST_GAIN` with the same components."""
+    if maximum.error < LAST_GAIN:
         return maximum
-    return _maximum(scatter, maximum.variance, maximum.free, maximum.low, SETTLED)
+    return _maximum(scatter, maximum.variance, maximum.free, maximum.low, LAST_GAIN)
 
 
-def one_more(
+def add_component(
     scatter: Scatter, maximum: Components, is_channel: np.ndarray, price: np.ndarray | float = 0.0
 ) -> tuple[int, Components] | None:
     """The component with the largest score, and the maximum with it; None if chance explains that score.
@@ -144,17 +144,17 @@ def one_more(
         is_channel: Which components are channels, shape (C,) bool: all others are candidates.
         price: Gain that pays for the numbers of a component that were fitted to the residuals, shape (C,), [nat].
     """
-    demand = asked_for(scatter, maximum, price)
+    demand = score_tests(scatter, maximum, price)
     if not demand.clear:
         maximum = settled(scatter, maximum)
-        demand = asked_for(scatter, maximum, price)
+        demand = score_tests(scatter, maximum, price)
     cost = np.broadcast_to(price, is_channel.shape)
     cheapest = int(np.argmax(np.where(cost > 0.0, 0.0, demand.normal)))
     # A component that has a price does not stand in the way of one that has none.
     for k in dict.fromkeys((demand.first, cheapest)):
         if demand.normal[k] > 0.0 and demand.plain[k] >= PLAINLY:
             more = with_one(scatter, maximum, k, float(demand.variance[k]))
-            if needed(more, maximum, float(cost[k]), is_channel):
+            if gain_is_real(more, maximum, float(cost[k]), is_channel):
                 return k, more
     return None
 
@@ -166,13 +166,13 @@ def with_one(scatter: Scatter, maximum: Components, k: int, variance: float) -> 
     return _with_others(scatter, maximum, start, free)
 
 
-def without(scatter: Scatter, maximum: Components, out: np.ndarray) -> Components:
+def drop_components(scatter: Scatter, maximum: Components, out: np.ndarray) -> Components:
     """The maximum without some of its components, shape (C,) bool."""
     return _with_others(scatter, maximum, np.where(out, 0.0, maximum.variance), maximum.free & ~out)
 
 
 def roughly_without(scatter: Scatter, maximum: Components, out: np.ndarray) -> Components:
-    """A cheap :func:`without`, the columns' fit held: its likelihood is a bound from below."""
+    """A cheap :func:`drop_components`, the columns' fit held: its likelihood is a bound from below."""
     V, free = covariances(scatter, maximum.at), maximum.free & ~out
     bound = _bound(scatter, maximum.at, maximum)
     variances = bound.best(np.where(out, 0.0, maximum.variance), free, maximum.low)
@@ -199,7 +199,7 @@ def highest(other: Scatter, scatter: Scatter, maximum: Components, of: np.ndarra
     return bound.height(bound.best(maximum.variance[of], np.ones(len(of), dtype=bool), maximum.low[of]))
 
 
-def needed(more: Components, fewer: Components, price: float, is_channel: np.ndarray) -> bool:
+def gain_is_real(more: Components, fewer: Components, price: float, is_channel: np.ndarray) -> bool:
     """True if chance does not explain the gain of ``more`` components, whose shapes cost ``price`` [nat]."""
     gain = more.log_likelihood - fewer.log_likelihood - price
     return boundary_chance(2.0 * gain) * int((~is_channel).sum()) < RARE
@@ -219,7 +219,7 @@ def promised(scatter: Scatter, maximum: Components, of: Sequence[np.ndarray], st
     return np.array([bound.height(variances) for variances in optima]) - bound.height(maximum.at)
 
 
-def instead(scatter: Scatter, maximum: Components, several: np.ndarray, k: int) -> Components | None:
+def replace_components(scatter: Scatter, maximum: Components, several: np.ndarray, k: int) -> Components | None:
     """The maximum with one component in place of several; None if it explains the residuals less well than these.
 
     Args:
@@ -242,7 +242,7 @@ def _with_others(scatter: Scatter, maximum: Components, start: np.ndarray, free:
 
 
 def _maximum(
-    scatter: Scatter, theta: np.ndarray, free: np.ndarray, low: np.ndarray, enough: float = ROUGH
+    scatter: Scatter, theta: np.ndarray, free: np.ndarray, low: np.ndarray, enough: float = ROUGH_GAIN
 ) -> Components:
     """Maximise the restricted likelihood over the variances of the components in the model.
 
@@ -257,7 +257,7 @@ def _maximum(
     """
     here, error, gain = place(scatter, theta), 0.0, 0.0
     score, information = derivatives(scatter, here, free)
-    for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
+    for _ in range(MOST_ITERATIONS if np.isfinite(here.log_likelihood) else 0):
         moving, step = free & ~((theta <= low) & (score <= 0.0)), np.zeros(len(theta))
         step[moving] = shortest(
             information[np.ix_(moving, moving)], score[moving]
@@ -265,7 +265,7 @@ def _maximum(
         promised = float(score @ step)
         ahead = np.where(free, np.maximum(theta + step, low), 0.0)
         whole = bool(np.all((ahead == theta + step)[moving]))
-        error, gain = (OFF * promised, 0.5 * promised) if whole else (promised, 0.0)
+        error, gain = (PROMISE_ERROR_SHARE * promised, 0.5 * promised) if whole else (promised, 0.0)
         if error < enough:
             break
         higher = _higher(scatter, theta, here, step, promised, free, low)
@@ -285,19 +285,19 @@ def _maximum(
 def _higher(
     scatter: Scatter,
     theta: np.ndarray,
-    here: Place,
+    here: LikelihoodPoint,
     step: np.ndarray,
     promised: float,
     free: np.ndarray,
     low: np.ndarray,
-) -> tuple[np.ndarray, Place] | None:
+) -> tuple[np.ndarray, LikelihoodPoint] | None:
     """Likelier variances, and the likelihood there; None if the step's direction has none."""
-    if promised > FAR:
+    if promised > FAR_PROMISE:
         variances = _bound(scatter, theta, here).best(theta, free, low)
         there = place(scatter, variances)
         if there.log_likelihood > here.log_likelihood:
             return variances, there
-    for _ in range(HALVINGS):
+    for _ in range(STEP_HALVINGS):
         variances = np.where(free, np.maximum(theta + step, low), 0.0)
         there = place(scatter, variances)
         if there.log_likelihood >= here.log_likelihood:
@@ -306,7 +306,7 @@ def _higher(
     return None
 
 
-def _bound(scatter: Scatter, at: np.ndarray, here: Components | Place) -> Bound:
+def _bound(scatter: Scatter, at: np.ndarray, here: Components | LikelihoodPoint) -> Bound:
     """The bound about a likelihood at variances ``at``, shape (C,)."""
     return Bound(scatter.blocks, scatter.fixed, moments(covariances(scatter, at), here.pull, here.kernel))
 
@@ -329,7 +329,7 @@ def contributions(scatter: Scatter, maximum: Components) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Asked:
+class ScoreTests:
     """Score tests of the components that are not in the model; 0 for those in it, and those that it can imitate.
 
     Attributes:
@@ -350,11 +350,11 @@ class Asked:
 
     @property
     def clear(self) -> bool:
-        """True if the plain score of that component is clearly above or below :data:`PLAINLY`, by :data:`CLEAR`."""
-        return not CLEAR < self.plain[self.first] / PLAINLY < 1.0 / CLEAR
+        """True if the plain score of that component is clearly above or below :data:`PLAINLY`, by :data:`SAFE_SHARE`."""
+        return not SAFE_SHARE < self.plain[self.first] / PLAINLY < 1.0 / SAFE_SHARE
 
 
-def asked_for(scatter: Scatter, maximum: Components, price: np.ndarray | float = 0.0) -> Asked:
+def score_tests(scatter: Scatter, maximum: Components, price: np.ndarray | float = 0.0) -> ScoreTests:
     """The score test: the derivative at zero, less what the components in the model take up, over its standard deviation.
 
     Args:
@@ -371,10 +371,10 @@ def asked_for(scatter: Scatter, maximum: Components, price: np.ndarray | float =
     each = contributions(scatter, maximum)
     own_contributions = each - share.T @ each[free]
     score = own_contributions.sum(axis=1)
-    new = ~free & (alone > IMITATED * np.diag(information))
+    new = ~free & (alone > IMITATION_SHARE * np.diag(information))
     alone = np.where(new, alone, 1.0)
     plain = score / np.sqrt(np.maximum(np.sum(own_contributions**2, axis=1), TINY))
     normal = score / np.sqrt(alone)
     charged = np.sqrt(np.maximum(np.maximum(normal, 0.0) ** 2 - 2.0 * price, 0.0))
     normal = np.where(np.asarray(price) > 0.0, charged, normal)
-    return Asked(*(np.where(new, value, 0.0) for value in (normal, plain, score / alone)))
+    return ScoreTests(*(np.where(new, value, 0.0) for value in (normal, plain, score / alone)))

@@ -206,7 +206,7 @@ def predict_ranges(
     return h, J
 
 
-def carried(R_world_square: np.ndarray, p: np.ndarray) -> np.ndarray:
+def square_motion(R_world_square: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Motion in world axes of what sits at p in the square's frame, shape (n, 6, 6), when the square is seen to move.
 
     T_camera_square exp(v, w) moves all that is fixed to the camera by exp(-v, -w), seen from the square: its place p by

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.engine.instruments.camera import INTRINSICS, Measures, carried, predict_pixels, predict_ranges
+from aridcal.engine.instruments.camera import INTRINSICS, Measures, predict_pixels, predict_ranges, square_motion
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
-from aridcal.engine.instruments.kind import Kind, Role, Seen, States
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States
 from aridcal.engine.instruments.pose import residuals, turned_back
 
 CAMERA, SONAR, ALL_SONARS = "camera", "sonar", "sonars"
@@ -33,7 +33,7 @@ CAMERA, SONAR, ALL_SONARS = "camera", "sonar", "sonars"
 FAULTS_OF_A_SONAR = ("bias", "scale")
 """What may be wrong with a sonar: what it adds [m], and the share by which it reads too much."""
 
-POSE = 6
+POSE_SIZE = 6
 """Coordinates of a pose."""
 
 LOWER = [0, 1, 1], [0, 0, 1]
@@ -42,7 +42,7 @@ LOWER = [0, 1, 1], [0, 0, 1]
 POSE_STEPS, ROUNDING_STEP = 20, 1e-12
 """Gauss-Newton steps of a shot's pose at the most, four are usual; and [m] and [rad] of one that is rounding."""
 
-SHORTEN = 4.0
+STEP_FRACTION = 4.0
 """A step turns by at most 1/4 rad and shifts by at most 1/4 of the distance: as far as the linear model is of use."""
 
 
@@ -206,7 +206,7 @@ def _count_of(observed: np.ndarray) -> np.ndarray:
 def packed(shots: Sequence[HeadShot], head: Head) -> np.ndarray:
     """What n shots of a head read, as declared, as rows of numbers, shape (n, W): see :func:`unpacked`."""
     sonars, trace = len(head.positions), len(INTRINSICS) + len(head.positions)
-    enough = -(-(POSE + trace - sonars) // 2)  # for a basis of pose and trace
+    enough = -(-(POSE_SIZE + trace - sonars) // 2)  # for a basis of pose and trace
     rows = np.zeros(len(shots), _row_type(sonars, max(enough, *(len(shot.points) for shot in shots))))
     rows["T_world_square"] = [shot.T_world_square[:3] for shot in shots]
     rows["start"] = [shot.T_camera_square[:3] for shot in shots]
@@ -232,7 +232,7 @@ def _trace_basis(shots: Shots, head: Head) -> np.ndarray:
     trace = len(INTRINSICS) + len(head.positions)  # bias and scale of a sonar are one within a shot
     Q, R = np.linalg.qr(np.concatenate([B, D[:, :, :trace]], axis=2))
     sign = np.where(np.diagonal(R, axis1=1, axis2=2) < 0.0, -1.0, 1.0)  # a trace means the same in all shots
-    return np.asarray((Q * sign[:, None])[:, :, POSE:])
+    return np.asarray((Q * sign[:, None])[:, :, POSE_SIZE:])
 
 
 def unpacked(observed: np.ndarray, sonars: int) -> Shots:
@@ -270,7 +270,8 @@ class ShotPoses:
         position: Shape (n, 3), [m].
         covariance: Of position [m] and rotation vector [rad] in world axes, shape (n, 6, 6).
         sensitivity: Twist (linear, angular) of the camera in world axes per unit of each of the head's numbers, (n, 6, H).
-        trace: z, shape (n, 9 + S); 0 beyond what a shot has, as :func:`beyond` says, so that sums over a row have no holes.
+        trace: z, shape (n, 9 + S); 0 beyond what a shot has, as :func:`missing_numbers` says, so that sums over a row have no
+            holes.
         slope: What a change of the head's numbers takes off it, shape (n, 9 + S, H).
         misfit: Chi-square of what a shot has beyond its pose, shape (n,).
         freedom: Its degrees of freedom, shape (n,).
@@ -295,12 +296,12 @@ def reduced(shots: Shots, head: Head) -> ShotPoses:
     C = _inverse(back @ B)
     twist_by_phi = -C @ (back @ D)
     trace = np.einsum("nij,ni->nj", shots.basis, y)
-    freedom = shots.count - POSE
-    trace[beyond(freedom, trace.shape[1])] = 0.0
+    freedom = shots.count - POSE_SIZE
+    trace[missing_numbers(freedom, trace.shape[1])] = 0.0
     Rc = T[:, :, :3].transpose(0, 2, 1)
     p = -np.einsum("nij,nj->ni", Rc, T[:, :, 3])
     world = shots.T_world_square
-    J = carried(world[:, :, :3], p)
+    J = square_motion(world[:, :, :3], p)
     return ShotPoses(
         rotation=world[:, :, :3] @ Rc,
         position=np.einsum("nij,nj->ni", world[:, :, :3], p) + world[:, :, 3],
@@ -332,7 +333,7 @@ def _at_best(shots: Shots, head: Head) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return T, y, B, D
 
 
-def beyond(freedom: np.ndarray, size: int) -> np.ndarray:
+def missing_numbers(freedom: np.ndarray, size: int) -> np.ndarray:
     """Which numbers of a trace shots do not have, shape (n, size), from their freedoms beyond their poses, shape (n,)."""
     return np.asarray(np.arange(size) >= freedom[:, None])
 
@@ -340,7 +341,7 @@ def beyond(freedom: np.ndarray, size: int) -> np.ndarray:
 def _missing(observed: np.ndarray, m: int) -> np.ndarray:
     """Which of m numbers a row does not measure, shape (n, m)."""
     missing = np.zeros((len(observed), m), dtype=bool)
-    missing[:, POSE:] = beyond(_count_of(observed) - POSE, m - POSE)
+    missing[:, POSE_SIZE:] = missing_numbers(_count_of(observed) - POSE_SIZE, m - POSE_SIZE)
     return missing
 
 
@@ -354,7 +355,7 @@ def _posed(shots: Shots, head: Head) -> np.ndarray:
         back = B.transpose(0, 2, 1)
         step = np.einsum("nij,nj->ni", _inverse(back @ B), np.einsum("nij,nj->ni", back, y))
         far = np.maximum(np.linalg.norm(step[:, :3], axis=1) / T[:, 2, 3], np.linalg.norm(step[:, 3:], axis=1))
-        step /= np.maximum(1.0, SHORTEN * far)[:, None]
+        step /= np.maximum(1.0, STEP_FRACTION * far)[:, None]
         T[:, :, 3] += np.einsum("nij,nj->ni", T[:, :, :3], step[:, :3])
         T[:, :, :3] = T[:, :, :3] @ Rotation.from_rotvec(step[:, 3:]).as_matrix()
         if np.abs(step).max(initial=0.0) < ROUNDING_STEP:
@@ -375,18 +376,18 @@ def _whitened(T: np.ndarray, shots: Shots, head: Head) -> tuple[np.ndarray, np.n
     pixels, by_twist, by_lens = predict_pixels(T, shots.points, head.intrinsics)
     of_pixels = np.einsum("nmij,nmj->nmi", shots.whiten, shots.pixels - pixels)
     y = np.concatenate([of_ranges / head.std, of_pixels.reshape(n, -1)], axis=1)
-    B = np.concatenate([h_by_twist / head.std, (shots.whiten @ by_twist).reshape(n, -1, POSE)], axis=1)
+    B = np.concatenate([h_by_twist / head.std, (shots.whiten @ by_twist).reshape(n, -1, POSE_SIZE)], axis=1)
     return y, B, (shots.whiten @ by_lens).reshape(n, -1, len(INTRINSICS)), h
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
     """Inverses of informations of poses, metres and radians brought to one scale, shape (n, 6, 6)."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), RIDGE))
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), POSE_RIDGE))
     outer = scale[:, :, None] * scale[:, None, :]
-    return np.asarray(outer * np.linalg.inv(information * outer + RIDGE * np.eye(POSE)))
+    return np.asarray(outer * np.linalg.inv(information * outer + POSE_RIDGE * np.eye(POSE_SIZE)))
 
 
-RIDGE = 1e-14
+POSE_RIDGE = 1e-14
 """A number that is nothing beside the ones on a scaled diagonal: a pose that a shot does not tell is left where it is."""
 
 
@@ -396,17 +397,17 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return np.hstack([residuals(R, p, reduction.position, reduction.rotation), reduction.trace])
 
 
-def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual with its derivatives; the head's numbers move what is measured, a prediction the other way."""
     reduction = _of_rows(observed, states)
     r = residuals(R, p, reduction.position, reduction.rotation)
     n, count = reduction.trace.shape
-    by_twist = np.zeros((n, POSE + count, POSE))
+    by_twist = np.zeros((n, POSE_SIZE + count, POSE_SIZE))
     by_twist[:, :3, :3] = np.eye(3)
-    by_twist[:, 3:POSE, 3:] = turned_back(r[:, 3:])
+    by_twist[:, 3:POSE_SIZE, 3:] = turned_back(r[:, 3:])
     by_head = np.concatenate([-reduction.sensitivity, reduction.slope], axis=1)
-    by_head[:, 3:POSE] = turned_back(-r[:, 3:]) @ by_head[:, 3:POSE]
-    return Seen(np.hstack([r, reduction.trace]), by_twist, (by_head,))
+    by_head[:, 3:POSE_SIZE] = turned_back(-r[:, 3:]) @ by_head[:, 3:POSE_SIZE]
+    return ResidualDerivatives(np.hstack([r, reduction.trace]), by_twist, (by_head,))
 
 
 def _noise(observed: np.ndarray, states: States) -> np.ndarray:
@@ -438,7 +439,7 @@ def channels(head: Head) -> tuple[Channel, ...]:
     )
 
 
-CAMERA_SONAR = Kind(
+CAMERA_SONAR = MeasurementKind(
     name="camera_sonar",
     words="image points of squares, and ranges to them",
     channels=(TARGET_POSITION, TARGET_ROTATION),

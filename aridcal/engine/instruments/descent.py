@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.engine.instruments.kind import Kind
+from aridcal.engine.instruments.kind import MeasurementKind
 
 FIRST_DAMPING = 1e-3
 LEAST_DAMPING = 1e-12
@@ -18,7 +18,7 @@ LEAST_GAIN = 1e-9
 
 
 @dataclass(frozen=True)
-class View:
+class StartView:
     """Rows of one kind as starts see them: the tip nominal, in the robot's base frame.
 
     Attributes:
@@ -31,7 +31,7 @@ class View:
         moves: True if the target's translation may.
     """
 
-    kind: Kind
+    kind: MeasurementKind
     R: np.ndarray
     p: np.ndarray
     observed: np.ndarray
@@ -42,7 +42,7 @@ class View:
     def __len__(self) -> int:
         return len(self.p)
 
-    def select(self, some: np.ndarray) -> View:
+    def select(self, some: np.ndarray) -> StartView:
         """Some of the rows."""
         return replace(self, R=self.R[some], p=self.p[some], observed=self.observed[some], refers=self.refers[some])
 
@@ -63,7 +63,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Place:
+class DescentPoint:
     """Where a descent stands, and a fit may begin.
 
     Attributes:
@@ -96,23 +96,23 @@ class _Equations:
     h: np.ndarray
 
 
-def placed(view: View, target: np.ndarray, states: dict[str, np.ndarray]) -> Place:
+def descent_point(view: StartView, target: np.ndarray, states: dict[str, np.ndarray]) -> DescentPoint:
     """A place with its cost."""
     complete = view.complete(states)
     if not complete.any():
-        return Place(target, states, np.inf)
+        return DescentPoint(target, states, np.inf)
     some = view.select(complete)
     residual = view.kind.residual(*some.target(target), some.observed, some.of_rows(states))
-    return Place(target, states, float(np.mean(residual**2)))
+    return DescentPoint(target, states, float(np.mean(residual**2)))
 
 
-def descend(view: View, start: Place, steps: int) -> Place:
+def descend(view: StartView, start: DescentPoint, steps: int) -> DescentPoint:
     """Levenberg and Marquardt's steps from a start; rows without all their states are left out, and their things stay."""
     complete = view.complete(start.states)
     if not complete.any() or not np.isfinite(start.cost):
         return start
     view = view if complete.all() else view.select(complete)
-    place, damping = placed(view, start.target, start.states), FIRST_DAMPING
+    place, damping = descent_point(view, start.target, start.states), FIRST_DAMPING
     equations = _equations(view, place)
     for _ in range(steps):
         trial = _step(view, place, equations, damping)
@@ -129,7 +129,7 @@ def descend(view: View, start: Place, steps: int) -> Place:
     return place
 
 
-def _layout(view: View) -> tuple[list[int], int]:
+def _layout(view: StartView) -> tuple[list[int], int]:
     """First dense column of each role's things, and the number of columns; the target's translation takes the first three."""
     first, count = [], 3
     for role in view.kind.roles:
@@ -138,7 +138,7 @@ def _layout(view: View) -> tuple[list[int], int]:
     return first, count
 
 
-def _equations(view: View, place: Place) -> _Equations:
+def _equations(view: StartView, place: DescentPoint) -> _Equations:
     """Accumulate the normal equations at a place."""
     kind, n = view.kind, len(view)
     derivatives = kind.derivatives(*view.target(place.target), view.observed, view.of_rows(place.states))
@@ -162,7 +162,7 @@ def _equations(view: View, place: Place) -> _Equations:
     return _Equations(flat.T @ flat, flat.T @ derivatives.residual.ravel(), B, C, h)
 
 
-def _step(view: View, place: Place, e: _Equations, damping: float) -> Place:
+def _step(view: StartView, place: DescentPoint, e: _Equations, damping: float) -> DescentPoint:
     """One damped step: the blocks eliminated, the dense unknowns solved, the blocks filled in."""
     B, A = _damped(e.B, damping), _damped(e.A[None], damping)[0]
     solved = np.linalg.solve(B, np.concatenate([e.C, e.h[:, :, None]], axis=2))
@@ -180,7 +180,7 @@ def _step(view: View, place: Place, e: _Equations, damping: float) -> Place:
         movable = np.isfinite(state).all(axis=1) & view.free[role.name].any(axis=1)
         states[role.name] = state.copy()
         states[role.name][movable] = role.moved(state[movable], change[movable])
-    return placed(view, target, states)
+    return descent_point(view, target, states)
 
 
 def _damped(matrices: np.ndarray, damping: float) -> np.ndarray:
@@ -199,8 +199,8 @@ def spread(count: int, most: int) -> np.ndarray:
     return np.sort(np.random.default_rng(0).permutation(count)[:most])
 
 
-def located(
-    view: View, target: np.ndarray, states: dict[str, np.ndarray], labels: np.ndarray, beforehand: np.ndarray
+def thing_states(
+    view: StartView, target: np.ndarray, states: dict[str, np.ndarray], labels: np.ndarray, beforehand: np.ndarray
 ) -> dict[str, np.ndarray]:
     """States in which their own rows have located some things of the last role; components that are not free stay."""
     kind = view.kind

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aridcal.engine.instruments.channels import LENGTH
-from aridcal.engine.instruments.kind import Kind, Role, Seen, States, added, points_twist
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States, added, points_twist
 
 LEAST_SINGULAR = 1e-4
 """Least singular value, as a share of the largest, of equations that are solved: below it noise of a ten-thousandth of the
@@ -31,7 +31,7 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return np.asarray(observed - predicted[:, None])
 
 
-def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual with its derivatives: along the wire for the target, against it for the anchor."""
     (anchor,) = states
     scale = anchor[:, 4:]
@@ -41,7 +41,7 @@ def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: Sta
     along = scale * wire / np.where(length > 0.0, length, 1.0)
     by_anchor = np.concatenate([-along, np.ones_like(length), length], axis=1)
     residual = observed - (scale * length + anchor[:, 3:4])
-    return Seen(residual, points_twist(along[:, None]), (by_anchor[:, None],))
+    return ResidualDerivatives(residual, points_twist(along[:, None]), (by_anchor[:, None],))
 
 
 def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
@@ -86,7 +86,7 @@ def plain_solution(A: np.ndarray, b: np.ndarray) -> np.ndarray | None:
     return np.asarray((Vt.T @ ((U.T @ b) / singular)) / length)
 
 
-DISTANCE = Kind(
+DISTANCE = MeasurementKind(
     "distance",
     "the target's distance from an anchor",
     (LENGTH,),

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from aridcal.engine.instruments.channels import INCLINATION
-from aridcal.engine.instruments.kind import Kind, Seen, States
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, States
 from aridcal.engine.instruments.pose import skew
 from aridcal.engine.robot.kinematics import transverse
 
 DOWN = np.array([0.0, 0.0, -1.0])
 """Gravity's direction in the world."""
 
-SERIES_BELOW = 1e-3
+SINE_SERIES_BELOW = 1e-3
 """Sine below which a quotient that tends to 0/0 is taken from its series, whose next term is 1e-12."""
 
 
@@ -41,7 +41,7 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return -_angles(across, along)[0]
 
 
-def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     r"""The residual with its derivatives.
 
     With sines s along the axes E, cosine c and f = angle / \|s\|, the split angle is f s, and
@@ -56,17 +56,17 @@ def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: Sta
     ds = axes @ turned
     dc = np.einsum("ni,nij->nj", direction, turned)
     sine = np.linalg.norm(across, axis=1)
-    near = (sine < SERIES_BELOW) & (along > 0.0)
-    safe = np.where(sine < SERIES_BELOW, 1.0, sine)
+    near = (sine < SINE_SERIES_BELOW) & (along > 0.0)
+    safe = np.where(sine < SINE_SERIES_BELOW, 1.0, sine)
     exact = (along * safe - np.arctan2(safe, along)) / safe**3
     factor = np.where(near, -2.0 / 3.0 - 0.2 * sine**2, exact)
     inner = factor[:, None] * np.einsum("ni,nij->nj", across, ds) - dc
     by_twist = np.zeros((len(R), 2, 6))
     by_twist[:, :, 3:] = per_sine[:, None, None] * ds + across[:, :, None] * inner[:, None]
-    return Seen(-split, by_twist, ())
+    return ResidualDerivatives(-split, by_twist, ())
 
 
-INCLINED = Kind(
+INCLINED = MeasurementKind(
     name="inclination",
     words="the direction of gravity in the target's frame",
     channels=(INCLINATION,),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.engine.instruments.kind import Kind, Seen, States
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, States
 from aridcal.engine.instruments.pixels import BOARD, T, rotation_of
 from aridcal.engine.instruments.pose import nearest_rotation, residuals, turned_back
 
@@ -21,7 +21,7 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return residuals(R, p, grasp[:, T], rotation_of(grasp))
 
 
-def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual with its derivatives; a grasp's change is in its own axes, so that it turns behind the residual's rotation."""
     residual = _residual(R, p, observed, states)
     rotation = rotation_of(states[0])
@@ -30,7 +30,7 @@ def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: Sta
     by_twist[:, 3:, 3:] = turned_back(residual[:, 3:])
     by_grasp[:, :3, :3] = -rotation
     by_grasp[:, 3:, 3:] = -turned_back(-residual[:, 3:]) @ rotation
-    return Seen(residual, by_twist, (by_grasp,))
+    return ResidualDerivatives(residual, by_twist, (by_grasp,))
 
 
 def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
@@ -40,7 +40,7 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     return np.concatenate([p.mean(axis=0), nearest_rotation(R.sum(axis=0)).ravel()])
 
 
-JOINED = Kind(
+JOINED = MeasurementKind(
     name="joined",
     words="two links that hold one body",
     channels=(TARGET_POSITION, TARGET_ROTATION),

@@ -2,7 +2,7 @@ r"""What a kind of measurement is: instrument x channel x unknowns, the mirror i
 
 A row measures the target, whose pose the arm's model predicts, with the help of things that stand around it or sit on it: a
 socket, an anchor, a plane, a camera, a marker. A kind says which things its rows refer to (:class:`Role`), what it predicts
-from the target's pose and the states of those things, and how that changes with each (:class:`Seen`).
+from the target's pose and the states of those things, and how that changes with each (:class:`ResidualDerivatives`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Role:
         size: Numbers P of its state.
         moved: The state after a change: (n, P) and (n, u) to (n, P).
         slope: How the local change at the state moved by a change follows the components: (n, P) and (n, u) to (n, u, u);
-            None where that is the identity. Derivatives of :class:`Seen` are by the local change.
+            None where that is the identity. Derivatives of :class:`ResidualDerivatives` are by the local change.
         identified: Components that are unknown unless the campaign says otherwise.
         many: True where there may be thousands of them: they are solved for one by one, beside the rest of the model.
         places: For things whose components have places of corrections of their own, ``where.component`` of a coefficient and
@@ -55,7 +55,7 @@ class Role:
 
 
 @dataclass(frozen=True)
-class Seen:
+class ResidualDerivatives:
     """Residuals of n rows of m numbers, and their derivatives.
 
     Attributes:
@@ -73,19 +73,19 @@ class Seen:
 Residual = Callable[[np.ndarray, np.ndarray, np.ndarray, States], np.ndarray]
 """Rotations (n, 3, 3) and positions (n, 3) of the target in the world frame, what was read (n, W), states: to (n, m)."""
 
-Derivatives = Callable[[np.ndarray, np.ndarray, np.ndarray, States], Seen]
-"""From the arguments of a :data:`Residual` to a :class:`Seen`."""
+Derivatives = Callable[[np.ndarray, np.ndarray, np.ndarray, States], ResidualDerivatives]
+"""From the arguments of a :data:`Residual` to a :class:`ResidualDerivatives`."""
 
-Placed = Callable[[np.ndarray, States], tuple[np.ndarray, np.ndarray | None]]
+RowPlacement = Callable[[np.ndarray, States], tuple[np.ndarray, np.ndarray | None]]
 """From the numbers of rows (n, W) and states to positions (n, 3) of the target in the world, and rotations (n, 3, 3) or None."""
 
-Located = Callable[[np.ndarray, np.ndarray, np.ndarray, States], np.ndarray]
+ThingLocation = Callable[[np.ndarray, np.ndarray, np.ndarray, States], np.ndarray]
 """From the arguments of a :data:`Residual`, for the rows of one thing of the last role, to its state, shape (P,). Its own state
 in the arguments is not looked at. Closed form or linear; NaN where these rows cannot tell."""
 
 
 @dataclass(frozen=True)
-class Kind:
+class MeasurementKind:
     """One row of the table of kinds.
 
     Attributes:
@@ -117,10 +117,10 @@ class Kind:
     roles: tuple[Role, ...]
     residual: Residual
     derivatives: Derivatives
-    located: Located | None
+    located: ThingLocation | None
     turns: bool = False
     condition: bool = False
-    placed: Placed | None = None
+    placed: RowPlacement | None = None
     bare: bool = False
     images: bool = False
     level: bool = False

@@ -6,9 +6,9 @@ import numpy as np
 
 from aridcal.engine.instruments.camera import INTRINSICS, distort, matrices, project, project_jacobian, rays
 from aridcal.engine.instruments.channels import PIXEL
-from aridcal.engine.instruments.kind import Kind, Role, Seen, States, added
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States, added
 
-PLACE = ("x", "y", "z", "roll", "pitch", "yaw")
+PLACE_COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 PLACE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 # Parts of a camera's state; a board's is its first twelve numbers.
@@ -91,15 +91,15 @@ def _camera_slope(state: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 CAMERA = Role(
     name="camera",
-    components=(*PLACE, *INTRINSICS),
+    components=(*PLACE_COMPONENTS, *INTRINSICS),
     units=(*PLACE_UNITS, "px", "px", "px", "px", "1", "1", "1", "1", "1"),
     size=22,
     moved=_camera_moved,
     slope=_camera_slope,
-    identified=PLACE,
+    identified=PLACE_COMPONENTS,
     many=False,
 )
-BOARD = Role("board", PLACE, PLACE_UNITS, 12, _place_moved, _place_slope, PLACE, many=False)
+BOARD = Role("board", PLACE_COMPONENTS, PLACE_UNITS, 12, _place_moved, _place_slope, PLACE_COMPONENTS, many=False)
 MARKER = Role("marker", ("x", "y", "z"), ("m", "m", "m"), 3, added, None, ("x", "y", "z"), many=True)
 
 
@@ -153,7 +153,7 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return np.where(front[:, None], observed - project(points, states[0][:, LENS]), UNSEEN_RESIDUAL)
 
 
-def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual with its derivatives; a row behind the camera has none."""
     camera, board, marker = states
     X, carried, Y, on_tip = in_camera(R, p, states)
@@ -165,7 +165,7 @@ def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: Sta
     # a body twist (v, w) of the camera moves X by -v - w x X; one of the board moves the marker by v + w x m
     by_camera = np.concatenate([-by_X, np.cross(by_X, X[:, None]), by_lens], axis=2)
     by_board = np.concatenate([by_marker, np.cross(marker[:, None], by_marker)], axis=2)
-    return Seen(
+    return ResidualDerivatives(
         np.where(front[:, None], observed - pixels, UNSEEN_RESIDUAL),
         _by_twist(R, p, by_Y, by_X, states, Y, on_tip),
         (by_camera, by_board, by_marker),
@@ -267,7 +267,7 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     return place
 
 
-PIXELS = Kind(
+PIXELS = MeasurementKind(
     name="pixels",
     words="a marker's place in an image",
     channels=(PIXEL,),

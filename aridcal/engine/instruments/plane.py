@@ -6,10 +6,10 @@ import numpy as np
 
 from aridcal.engine.instruments.channels import LENGTH
 from aridcal.engine.instruments.distance import LEAST_SINGULAR
-from aridcal.engine.instruments.kind import Kind, Role, Seen, States, points_twist
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States, points_twist
 from aridcal.engine.robot.kinematics import along_plane
 
-HALVINGS = 100
+MULTIPLIER_HALVINGS = 100
 """Halvings of the interval in which a plane's multiplier lies: more than doubles resolve."""
 
 
@@ -72,12 +72,12 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return np.asarray(observed - height[:, None])
 
 
-def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual with its derivatives: a tilt about e turns n by e x n."""
     normal = states[0][:, :3]
     turned = [np.sum(np.cross(e, normal) * p, axis=1) for e in along_plane(normal)]
     by_plane = np.stack([*turned, np.full(len(p), -1.0)], axis=1)
-    return Seen(_residual(R, p, observed, states), points_twist(normal[:, None]), (by_plane[:, None],))
+    return ResidualDerivatives(_residual(R, p, observed, states), points_twist(normal[:, None]), (by_plane[:, None],))
 
 
 def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
@@ -98,7 +98,7 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     pull = Vt @ ((p - middle).T @ (observed[:, 0] - level))
     stiff = spread**2 - spread[2] ** 2
     low, high = abs(pull[2]), float(np.linalg.norm(pull))
-    for _ in range(HALVINGS):  # of lambda + sigma_3 squared
+    for _ in range(MULTIPLIER_HALVINGS):  # of lambda + sigma_3 squared
         half = 0.5 * (low + high)
         long = np.sum((pull / np.maximum(stiff + half, 1e-300)) ** 2) > 1.0
         low, high = (half, high) if long else (low, half)
@@ -114,7 +114,7 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     return np.array([*normal, normal @ middle - level])
 
 
-PLANAR = Kind(
+PLANAR = MeasurementKind(
     "plane",
     "the target's height over a plane",
     (LENGTH,),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aridcal.engine.instruments.channels import TARGET_POSITION
-from aridcal.engine.instruments.kind import Kind, Role, Seen, States, added, points_twist
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States, added, points_twist
 
 POINT = Role("point", ("x", "y", "z"), ("m", "m", "m"), 3, added, None, ("x", "y", "z"), many=True)
 
@@ -15,10 +15,10 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return np.asarray(states[0] - p)
 
 
-def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual with its derivatives."""
     identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-    return Seen(states[0] - p, points_twist(identity), (-identity,))
+    return ResidualDerivatives(states[0] - p, points_twist(identity), (-identity,))
 
 
 def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
@@ -26,7 +26,7 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     return np.asarray(p.mean(axis=0)) if len(p) else np.full(3, np.nan)
 
 
-TOUCHED = Kind(
+TOUCHED = MeasurementKind(
     "point",
     "the target in a fixed point",
     (TARGET_POSITION,),

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.engine.instruments.kind import Kind, Role, Seen, States, added, points_twist
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States, added, points_twist
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-SERIES_BELOW = 1e-2
+ANGLE_SERIES_BELOW = 1e-2
 """[rad]: below this a quotient that tends to 0/0 is taken from its series, whose next term is 2e-13."""
 
 
@@ -80,10 +80,10 @@ def turned_back(vector: np.ndarray) -> np.ndarray:
     """
     angle = np.linalg.norm(vector, axis=1)
     square = angle**2
-    safe = np.where(angle < SERIES_BELOW, 1.0, angle)
+    safe = np.where(angle < ANGLE_SERIES_BELOW, 1.0, angle)
     # (1 + cos) / sin is 1 / tan(angle / 2), also where both vanish
     exact = (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2
-    factor = np.where(angle < SERIES_BELOW, 1.0 / 12.0 + square / 720.0, exact)
+    factor = np.where(angle < ANGLE_SERIES_BELOW, 1.0 / 12.0 + square / 720.0, exact)
     x = skew(vector)
     return np.eye(3) + 0.5 * x + factor[:, None, None] * (x @ x)
 
@@ -119,7 +119,7 @@ TRACKER = Role(
 """What measures positions from the world's origin: one for each block, named after it, without faults as far as is known."""
 
 
-def shown(p: np.ndarray, tracker: np.ndarray) -> np.ndarray:
+def tracker_positions(p: np.ndarray, tracker: np.ndarray) -> np.ndarray:
     """Positions that a tracker shows for places p: p (1 + s + k |p|), its scale off by s, its ranges by k |p|^2; (n, 3)."""
     away = np.linalg.norm(p, axis=1)
     return np.asarray(p * (1.0 + tracker[:, 0] + tracker[:, 1] * away)[:, None])
@@ -137,29 +137,29 @@ def _shown_derivatives(p: np.ndarray, tracker: np.ndarray) -> tuple[np.ndarray, 
 def _position(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """Measured minus predicted position, [m]."""
     (tracker,) = states
-    return residuals(R, shown(p, tracker), observed, None)
+    return residuals(R, tracker_positions(p, tracker), observed, None)
 
 
-def _position_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _position_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual of positions with its derivatives."""
     by_place, by_tracker = _shown_derivatives(p, states[0])
-    return Seen(_position(R, p, observed, states), points_twist(by_place), (by_tracker,))
+    return ResidualDerivatives(_position(R, p, observed, states), points_twist(by_place), (by_tracker,))
 
 
 def _pose(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """Measured minus predicted position [m] and rotation vector [rad]."""
     (tracker,) = states
-    return residuals(R, shown(p, tracker), observed[:, :3], observed[:, 3:].reshape(-1, 3, 3))
+    return residuals(R, tracker_positions(p, tracker), observed[:, :3], observed[:, 3:].reshape(-1, 3, 3))
 
 
-def _pose_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _pose_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual of poses with its derivatives."""
     residual = _pose(R, p, observed, states)
     by_place, by_tracker = _shown_derivatives(p, states[0])
     by_twist = np.zeros((len(p), 6, 6))
     by_twist[:, :3, :3] = by_place
     by_twist[:, 3:, 3:] = turned_back(residual[:, 3:])
-    return Seen(residual, by_twist, (np.concatenate([by_tracker, np.zeros_like(by_tracker)], axis=1),))
+    return ResidualDerivatives(residual, by_twist, (np.concatenate([by_tracker, np.zeros_like(by_tracker)], axis=1),))
 
 
 def pose_numbers(position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
@@ -175,7 +175,7 @@ def _placed(observed: np.ndarray, states: States) -> tuple[np.ndarray, np.ndarra
 XYZ = ("x", "y", "z")
 """Columns of a position; those of a rotation matrix follow row by row."""
 
-POSITION = Kind(
+POSITION = MeasurementKind(
     "position",
     "the target's position",
     (TARGET_POSITION,),
@@ -187,7 +187,7 @@ POSITION = Kind(
     placed=_placed,
 )
 
-POSE = Kind(
+POSE = MeasurementKind(
     name="pose",
     words="the target's position and orientation",
     channels=(TARGET_POSITION, TARGET_ROTATION),
@@ -201,6 +201,6 @@ POSE = Kind(
 )
 
 
-def kind_of_places(rotation: np.ndarray | None) -> Kind:
+def kind_of_places(rotation: np.ndarray | None) -> MeasurementKind:
     """The kind of rows that a tracker gives positions of, and rotations (N, 3, 3) if there are any."""
     return POSITION if rotation is None else POSE

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from aridcal.engine.instruments.channels import Channels
-from aridcal.engine.instruments.kind import Kind, Role
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kind import MeasurementKind, Role
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 
 TIP, WORLD = "tip", "world"
 """Carriers of things for which no link is named; also the label of a target that is the tip itself, as cameras see it."""
@@ -138,6 +138,6 @@ class Block:
     rows: Literal["relative", "absolute", "ignore"] = "relative"
 
     @property
-    def traits(self) -> Kind:
+    def traits(self) -> MeasurementKind:
         """Its kind's row of the table of kinds."""
-        return KINDS[self.kind]
+        return MEASUREMENT_KINDS[self.kind]

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.engine.instruments.descent import Place, View, descend, located, placed, spread
-from aridcal.engine.instruments.pixels import LENS, ON_TIP, PLACE, R9, T, normalised
+from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, descent_point, spread, thing_states
+from aridcal.engine.instruments.pixels import LENS, ON_TIP, PLACE_COMPONENTS, R9, T, normalised
 from aridcal.engine.instruments.pose import nearest_rotation
 
 TRIED_ROTATIONS = 480
@@ -41,10 +41,10 @@ FIRST_STEPS, FURTHER_STEPS, FURTHER_PLACES = 20, 60, 4
 LEAST_KNOWN_MARKERS = 12
 """Rows with known markers from which a camera is placed by those alone."""
 
-RIDGE = 1e-9
+SIGHTING_RIDGE = 1e-9
 """Share of the equations' trace that keeps them solvable where these rows leave something open."""
 
-LEAST_SPREAD = 1e-3
+LEAST_MARKER_SPREAD = 1e-3
 """Spread of a board's markers across a plane or line, as a share of that along it, which says nothing of its tilt."""
 
 
@@ -73,11 +73,11 @@ class _Sight:
     markers: np.ndarray
 
 
-Settled = dict[str, set[int]]
+SettledThings = dict[str, set[int]]
 """Which cameras and boards have a place already: numbers, by role."""
 
 
-def sighted(view: View, target: np.ndarray, beforehand: dict[str, np.ndarray], steps: int) -> list[Place]:
+def sighted(view: StartView, target: np.ndarray, beforehand: dict[str, np.ndarray], steps: int) -> list[DescentPoint]:
     """Places of everything that pixels refer to, from hints first; components that are known and not free stay as they are.
 
     Pairs of camera and board are taken in turn, those first of which the most is known: what one pair has located helps the next.
@@ -89,10 +89,12 @@ def sighted(view: View, target: np.ndarray, beforehand: dict[str, np.ndarray], s
         steps: Of least squares in the end.
     """
     fixed_lenses = replace(view, free={name: mask.copy() for name, mask in view.free.items()})
-    fixed_lenses.free["camera"][:, len(PLACE) :] = False  # a lens a little off moves nothing far: the fit frees it
+    fixed_lenses.free["camera"][:, len(PLACE_COMPONENTS) :] = (
+        False  # a lens a little off moves nothing far: the fit frees it
+    )
     states, settled = _beginning(fixed_lenses, beforehand)
     pairs = [(int(c), int(b)) for c, b in np.unique(view.refers[:, :2], axis=0)]
-    candidates = [placed(fixed_lenses, target, states)]
+    candidates = [descent_point(fixed_lenses, target, states)]
     rows = {pair: np.flatnonzero((view.refers[:, :2] == pair).all(axis=1)) for pair in pairs}
     while pairs:
         camera, board = pair = max(
@@ -102,12 +104,12 @@ def sighted(view: View, target: np.ndarray, beforehand: dict[str, np.ndarray], s
         candidates = _pair(fixed_lenses, candidates[0], settled, pair, rows[pair])
         settled["camera"].add(camera)
         settled["board"].add(board)
-    hint = placed(fixed_lenses, target, beforehand)
+    hint = descent_point(fixed_lenses, target, beforehand)
     starts = [hint, *candidates] if view.complete(beforehand).all() else candidates
     return [descend(fixed_lenses, place, steps) for place in starts]
 
 
-def _beginning(view: View, beforehand: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], Settled]:
+def _beginning(view: StartView, beforehand: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], SettledThings]:
     """States to begin with, and what of them is settled.
 
     A board without a place, none of whose markers has one either, is put in the middle of its carrier: they are told from
@@ -126,7 +128,9 @@ def _beginning(view: View, beforehand: dict[str, np.ndarray]) -> tuple[dict[str,
     return states, {"camera": set(np.flatnonzero(cameras).tolist()), "board": set(np.flatnonzero(boards).tolist())}
 
 
-def _pair(view: View, place: Place, settled: Settled, pair: tuple[int, int], rows: np.ndarray) -> list[Place]:
+def _pair(
+    view: StartView, place: DescentPoint, settled: SettledThings, pair: tuple[int, int], rows: np.ndarray
+) -> list[DescentPoint]:
     """Places in which a pair has its own, the best first."""
     camera, board = pair
     if not np.isfinite(place.states["camera"][camera, LENS]).all():
@@ -138,7 +142,7 @@ def _pair(view: View, place: Place, settled: Settled, pair: tuple[int, int], row
             return [place]
         part = view.select(sight.rows)
         trials = [
-            placed(part, place.target, _with_solution(view, place.states, sight, pair, turn, x))
+            descent_point(part, place.target, _with_solution(view, place.states, sight, pair, turn, x))
             for turn, x in _compared(sight, _turns(place.states["camera"][camera], camera in settled["camera"]))
         ]
         limited = replace(part, free=_without_settled(part.free, pair, settled))
@@ -152,12 +156,14 @@ def _pair(view: View, place: Place, settled: Settled, pair: tuple[int, int], row
     located_places = []
     for trial in candidates:
         lacking = np.flatnonzero(~np.isfinite(trial.states["marker"]).all(axis=1))
-        states = located(part, trial.target, trial.states, lacking, place.states["marker"])
-        located_places.append(placed(view, trial.target, states))
+        states = thing_states(part, trial.target, trial.states, lacking, place.states["marker"])
+        located_places.append(descent_point(view, trial.target, states))
     return located_places
 
 
-def _without_settled(free: dict[str, np.ndarray], pair: tuple[int, int], settled: Settled) -> dict[str, np.ndarray]:
+def _without_settled(
+    free: dict[str, np.ndarray], pair: tuple[int, int], settled: SettledThings
+) -> dict[str, np.ndarray]:
     """Masks of the free components, without those of a camera or board that is settled."""
     limited = {name: mask.copy() for name, mask in free.items()}
     for name, number in zip(("camera", "board"), pair, strict=True):
@@ -186,7 +192,7 @@ def grid() -> np.ndarray:
 
 
 def _sight(
-    view: View, states: dict[str, np.ndarray], settled: Settled, pair: tuple[int, int], rows: np.ndarray
+    view: StartView, states: dict[str, np.ndarray], settled: SettledThings, pair: tuple[int, int], rows: np.ndarray
 ) -> _Sight | None:
     """Equations of the rows on which a pair's rotations are compared; None if there are too few."""
     camera, board = states["camera"][pair[0]], states["board"][pair[1]]
@@ -232,7 +238,7 @@ def _shape(marker: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middle of the markers, (3,), and the axes along which they spread, (3, r): two for a flat board, none for one marker."""
     middle = marker.mean(axis=0)
     _, sizes, Vt = np.linalg.svd(marker - middle, full_matrices=False)
-    return middle, Vt[sizes > LEAST_SPREAD * max(sizes[0], 1e-9)].T
+    return middle, Vt[sizes > LEAST_MARKER_SPREAD * max(sizes[0], 1e-9)].T
 
 
 def _compared(sight: _Sight, turns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -260,7 +266,7 @@ def _swept(sight: _Sight, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         f = np.einsum("gni,nik->gnk", w, sight.linear)
         M = square - np.swapaxes(f, 1, 2) @ f
         right = -pull + np.einsum("gnk,gn->gk", f, np.einsum("gni,ni->gn", w, sight.offset))
-        ridge = RIDGE * np.trace(square) / K * np.eye(K)
+        ridge = SIGHTING_RIDGE * np.trace(square) / K * np.eye(K)
         x = np.linalg.solve(M + ridge, right[:, :, None])[:, :, 0]
         X = sight.offset + np.einsum("nik,gk->gni", sight.linear, x)
         u = X / np.maximum(np.linalg.norm(X, axis=2, keepdims=True), 1e-12)
@@ -271,7 +277,12 @@ def _swept(sight: _Sight, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _with_solution(
-    view: View, states: dict[str, np.ndarray], sight: _Sight, pair: tuple[int, int], turn: np.ndarray, x: np.ndarray
+    view: StartView,
+    states: dict[str, np.ndarray],
+    sight: _Sight,
+    pair: tuple[int, int],
+    turn: np.ndarray,
+    x: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """States with the solution x of a pair; all others stay."""
     new = {name: state.copy() for name, state in states.items()}

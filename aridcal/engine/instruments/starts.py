@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from aridcal.engine.instruments.descent import Place, View, descend, located, placed, spread
+from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, descent_point, spread, thing_states
 from aridcal.engine.instruments.distance import LEAST_SINGULAR
 from aridcal.engine.instruments.inclination import DOWN
-from aridcal.engine.instruments.kind import Kind, Role
+from aridcal.engine.instruments.kind import MeasurementKind, Role
 from aridcal.engine.instruments.pixels import ON_TIP, T, rotation_of
 from aridcal.engine.instruments.pose import nearest_rotation
 from aridcal.engine.instruments.setup import Things
@@ -36,7 +36,7 @@ REACH, FAR = 0.2, 0.5
 """[m]: how far from the hint targets are sought, along each axis at once: to corners of cubes. From outside the true one is found
 more often than from inside."""
 
-LEAST_MOTION = 1e-3
+LEAST_TRANSLATION_SHARE = 1e-3
 """[m/m]: a target translation that moves the rows by a smaller share is left at its hint."""
 
 SAME_COST = 1.01
@@ -45,7 +45,7 @@ SAME_COST = 1.01
 ROUNDING_COST = 1e-24
 """Mean square of a residual that is rounding."""
 
-MOST_ROWS = 5000
+MOST_START_ROWS = 5000
 """Rows that a start looks at, spread evenly over all: what more of them say is left to the fit."""
 
 GRAVITY_DIRECTIONS = np.array([v for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]) - 1.0
@@ -54,7 +54,7 @@ GRAVITY_DIRECTIONS = GRAVITY_DIRECTIONS / np.linalg.norm(GRAVITY_DIRECTIONS, axi
 
 
 def starts(
-    kind: Kind,
+    kind: MeasurementKind,
     R: np.ndarray,
     p: np.ndarray,
     observed: np.ndarray,
@@ -62,7 +62,7 @@ def starts(
     things: Mapping[str, Things],
     target: np.ndarray,
     target_known: bool,
-) -> list[Place]:
+) -> list[DescentPoint]:
     """Where a fit may begin, the best first; states are NaN for things that rows do not refer to, or cannot tell.
 
     Args:
@@ -77,14 +77,14 @@ def starts(
     """
     beforehand = {role.name: things[role.name].start for role in kind.roles}
     if not len(p):
-        return [Place(target, beforehand)]
+        return [DescentPoint(target, beforehand)]
     if kind.name == "inclination" and not target_known:
         return _levelled(kind, R, p, observed, target)
     if not kind.roles:
-        return [Place(target, {})]
+        return [DescentPoint(target, {})]
     free = {role.name: things[role.name].free for role in kind.roles}
-    view = View(kind, R, p, observed, refers, free, moves=not (target_known or kind.bare))
-    some = view.select(spread(len(p), MOST_ROWS))
+    view = StartView(kind, R, p, observed, refers, free, moves=not (target_known or kind.bare))
+    some = view.select(spread(len(p), MOST_START_ROWS))
     places = (
         sighted(some, target, beforehand, DESCENT_STEPS)
         if kind.name == "pixels"
@@ -93,33 +93,33 @@ def starts(
     return [replace(place, states=_filled(view, place, beforehand)) for place in _ranked(places)]
 
 
-def _ranked(places: list[Place]) -> list[Place]:
+def _ranked(places: list[DescentPoint]) -> list[DescentPoint]:
     """The best places, each once; those with equal costs in their order."""
     least = min(place.cost for place in places)
     order = sorted(places, key=lambda place: 0.0 if place.cost <= SAME_COST * least + ROUNDING_COST else place.cost)
-    distinct: list[Place] = []
+    distinct: list[DescentPoint] = []
     for place in order:
         if not any(_same(place, other) for other in distinct):
             distinct.append(place)
     return distinct[:MOST_STARTS]
 
 
-def _same(one: Place, other: Place) -> bool:
+def _same(one: DescentPoint, other: DescentPoint) -> bool:
     """True of two places that a fit would not tell apart: within a micrometre and a microradian."""
     pairs = [(one.target, other.target)] + [(one.states[name], other.states[name]) for name in one.states]
     return all(np.allclose(a, b, atol=1e-6, equal_nan=True) for a, b in pairs)
 
 
-def _filled(view: View, place: Place, beforehand: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _filled(view: StartView, place: DescentPoint, beforehand: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """States in which also those things of the last role are located whose rows were not among the compared ones."""
     role = view.kind.roles[-1]
     lacking = ~np.isfinite(place.states[role.name]).all(axis=1)
     if not lacking[view.refers[:, -1]].any():
         return place.states
-    return located(view, place.target, place.states, np.flatnonzero(lacking), beforehand[role.name])
+    return thing_states(view, place.target, place.states, np.flatnonzero(lacking), beforehand[role.name])
 
 
-def _by_target(view: View, target: np.ndarray, beforehand: dict[str, np.ndarray]) -> list[Place]:
+def _by_target(view: StartView, target: np.ndarray, beforehand: dict[str, np.ndarray]) -> list[DescentPoint]:
     """Places for target translations, of which the things follow by their own rows; hints first.
 
     All are compared after a few steps on some of the rows, the best taken further on all.
@@ -131,7 +131,7 @@ def _by_target(view: View, target: np.ndarray, beforehand: dict[str, np.ndarray]
     few = _few(view)
     trials = [_from_lever(few, target, lever, beforehand) for lever in levers]
     if view.complete(beforehand).all():
-        trials.insert(0, placed(few, target, beforehand))
+        trials.insert(0, descent_point(few, target, beforehand))
     compared = _ranked([descend(few, place, COMPARISON_STEPS) for place in trials])
     places = []
     for place in compared:
@@ -146,7 +146,7 @@ def _steps() -> np.ndarray:
     return np.vstack([REACH * corners, FAR * corners])
 
 
-def _few(view: View) -> View:
+def _few(view: StartView) -> StartView:
     """Some of the rows, of the things that have the most."""
     things, rows = COMPARED_THINGS_AND_ROWS
     thing = view.refers[:, -1]
@@ -155,17 +155,19 @@ def _few(view: View) -> View:
     return view.select(some[spread(len(some), rows)])
 
 
-def _from_lever(view: View, target: np.ndarray, lever: np.ndarray, beforehand: dict[str, np.ndarray]) -> Place:
+def _from_lever(
+    view: StartView, target: np.ndarray, lever: np.ndarray, beforehand: dict[str, np.ndarray]
+) -> DescentPoint:
     """The place that a target translation gives, shape (3,)."""
     name = view.kind.roles[-1].name
     labels = np.unique(view.refers[:, -1])
     unknown = labels[~np.isfinite(beforehand[name][labels]).all(axis=1) | view.free[name][labels].any(axis=1)]
     new = target.copy()
     new[:3, 3] = lever
-    return placed(view, new, located(view, new, beforehand, unknown, beforehand[name]))
+    return descent_point(view, new, thing_states(view, new, beforehand, unknown, beforehand[name]))
 
 
-def _touched_levers(view: View, hint: np.ndarray, beforehand: np.ndarray) -> list[np.ndarray]:
+def _touched_levers(view: StartView, hint: np.ndarray, beforehand: np.ndarray) -> list[np.ndarray]:
     """Translations t for which p + R t falls on one place for each point: linear; on the point itself where it is known."""
     point = view.refers[:, -1]
     A, b = view.R.copy(), -(view.p + view.R @ hint)
@@ -179,11 +181,11 @@ def _touched_levers(view: View, hint: np.ndarray, beforehand: np.ndarray) -> lis
     b[~fixed] -= mean[~fixed, 9:]
     U, moves, Vt = np.linalg.svd(A.reshape(-1, 3), full_matrices=False)
     along = U.T @ b.ravel()
-    clear = moves > LEAST_MOTION * np.sqrt(len(view))
+    clear = moves > LEAST_TRANSLATION_SHARE * np.sqrt(len(view))
     return [hint + Vt.T @ (np.where(clear, along, 0.0) / np.where(clear, moves, 1.0))]
 
 
-def _ranged_levers(view: View, hint: np.ndarray, beforehand: np.ndarray) -> list[np.ndarray]:
+def _ranged_levers(view: StartView, hint: np.ndarray, beforehand: np.ndarray) -> list[np.ndarray]:
     r"""Translations from squared readings, which are linear in t, a, a t', the offset o and one constant, for each anchor.
 
     .. math:: |p|^2 - \rho^2 = 2 p \cdot a - 2 p \cdot R t + 2 R : (a t^T) - 2 \rho o - c
@@ -200,7 +202,7 @@ def _ranged_levers(view: View, hint: np.ndarray, beforehand: np.ndarray) -> list
     return levers
 
 
-def _planar_levers(view: View, hint: np.ndarray, beforehand: np.ndarray) -> list[np.ndarray]:
+def _planar_levers(view: StartView, hint: np.ndarray, beforehand: np.ndarray) -> list[np.ndarray]:
     r"""Translations from n.p + R : (n t') - d - s reading = 0, linear and homogeneous in n, n t', d and s, for each plane."""
     levers = []
     for label in np.unique(view.refers[:, -1]):
@@ -214,7 +216,7 @@ def _planar_levers(view: View, hint: np.ndarray, beforehand: np.ndarray) -> list
         size = np.where(size > 0.0, size, 1.0)
         null = np.linalg.svd(A / size)[2][-1] / size
         length = np.linalg.norm(null[:3])
-        if length > LEAST_MOTION * np.linalg.norm(null):
+        if length > LEAST_TRANSLATION_SHARE * np.linalg.norm(null):
             levers.append(null[3:12].reshape(3, 3).T @ null[:3] / length**2)
     return levers
 
@@ -227,13 +229,15 @@ def _first_three(A: np.ndarray, b: np.ndarray) -> list[np.ndarray]:
     return [(np.linalg.lstsq(A / size, b, rcond=1e-9)[0] / size)[:3]]
 
 
-Levers = Callable[[View, np.ndarray, np.ndarray], list[np.ndarray]]
+Levers = Callable[[StartView, np.ndarray, np.ndarray], list[np.ndarray]]
 
 LINEAR_LEVERS: dict[str, Levers] = {"point": _touched_levers, "distance": _ranged_levers, "plane": _planar_levers}
 """Target translations that follow from linear equations, from the rows, a hint and the states that are known."""
 
 
-def _levelled(kind: Kind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, target: np.ndarray) -> list[Place]:
+def _levelled(
+    kind: MeasurementKind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, target: np.ndarray
+) -> list[DescentPoint]:
     """Starts whose rotation carries the measured directions to gravity's in the tip (Kabsch): gravity down, or sought as well.
 
     What nothing turns (a tip that gravity always meets from one side) stays as the hint has it.
@@ -256,7 +260,7 @@ def _levelled(kind: Kind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, ta
         spread = float(np.mean(np.sum((felt - gravity) ** 2, axis=1)))
         if spread < least:
             best, least = frame, spread
-    return [Place(turned(DOWN), {}), Place(best, {})]
+    return [DescentPoint(turned(DOWN), {}), DescentPoint(best, {})]
 
 
 def aligned(role: Role, base_states: np.ndarray, world_states: np.ndarray) -> np.ndarray | None:

@@ -23,7 +23,7 @@ from aridcal.engine.model.model import Model
 POSE_TOLERANCE = 1e-10
 """[m]: a target that is nearer is there: a hundredth of the finest digit that programs write, and far above rounding."""
 
-LARGEST_TURN = 1.0
+LARGEST_TURN_OF_A_STEP = 1.0
 """The most that a joint turns in one step, [rad]: of random starts more come to a pose than with half of it, or twice."""
 
 STEPS_TO_HALVE = 12
@@ -180,8 +180,8 @@ class InverseRows:
         met = stopped.any(axis=1)
         if met.any():  # what stands at a limit stays there while the others go on
             step[met] = shortest(J[met] * (free & ~stopped)[met][:, None], e[met], damping[met])
-        fastest = np.abs(step[:, self.turning]).max(axis=1, initial=LARGEST_TURN)
-        return np.asarray(np.clip(q + step * (LARGEST_TURN / fastest)[:, None], low, high) - q)
+        fastest = np.abs(step[:, self.turning]).max(axis=1, initial=LARGEST_TURN_OF_A_STEP)
+        return np.asarray(np.clip(q + step * (LARGEST_TURN_OF_A_STEP / fastest)[:, None], low, high) - q)
 
 
 def shortest(J: np.ndarray, e: np.ndarray, damping: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dposv
 
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 
 # A search ends when its last step moves the target by less, [m] and [rad]: a tenth of what counts as reached.
 STEP_TOLERANCE = 1e-7
@@ -27,13 +27,13 @@ MOST_UNAVOIDABLE = 2e-2
 EFFECTS_WITHIN = 1e-2
 
 # The most that a joint turns in one step, [rad]: so far the Jacobian still says where the target goes.
-LARGEST_TURN = 0.5
+LARGEST_NEWTON_TURN = 0.5
 
 # How far from the seed further starts are, [rad] or [m], and how many there are.
 KICK, KICKS = 0.05, 4
 
 # The most there are in one search; Newton's method takes five or so where it works at all.
-MOST_STEPS = 40
+MOST_NEWTON_STEPS = 40
 
 # A step that shortens the way (squared) by no larger share is the last of a search that is stuck.
 LEAST_PROGRESS = 5e-2
@@ -45,7 +45,7 @@ FIRST_DAMPING, LAST_DAMPING = 1e-6, 1e3
 SINGULAR_DAMPING = 1e-13
 
 # For differences, [rad] or [m].
-DIFFERENCE = 1e-6
+MARGIN_DIFFERENCE = 1e-6
 
 
 class Phase(Enum):
@@ -144,7 +144,7 @@ class InverseKinematics:
         phase, damping = Phase.FAR, 0.0
         e, J = self._look(R, p, q, covariates, phase)
         lean = self.model.moves.sum() < len(e)
-        for _ in range(MOST_STEPS):
+        for _ in range(MOST_NEWTON_STEPS):
             size = float(e @ e)
             if phase is Phase.FAR and size < EFFECTS_WITHIN**2:
                 phase = Phase.NEAR
@@ -186,8 +186,8 @@ class InverseKinematics:
         """The error and its Jacobian, with the effects as a phase of the search sees them; see :meth:`error`."""
         e, J = self.error(R, p, q, None if phase is Phase.FAR else covariates)
         if phase is Phase.STUCK:
-            errors = [self.error(R, p, q + column, covariates)[0] for column in DIFFERENCE * np.eye(len(q))]
-            J = np.asarray((e - np.array(errors)).T / DIFFERENCE)
+            errors = [self.error(R, p, q + column, covariates)[0] for column in MARGIN_DIFFERENCE * np.eye(len(q))]
+            J = np.asarray((e - np.array(errors)).T / MARGIN_DIFFERENCE)
         return e, J
 
     def error(
@@ -220,7 +220,7 @@ class InverseKinematics:
         step = np.zeros(len(q))
         step[self._moving] = _solve(J[:, self._moving], e, damping)
         fastest = max(np.abs(step[self.turning]), default=0.0)
-        shorter = LARGEST_TURN / fastest if fastest > LARGEST_TURN else 1.0
+        shorter = LARGEST_NEWTON_TURN / fastest if fastest > LARGEST_NEWTON_TURN else 1.0
         trial = q + shorter * step
         inside = np.minimum(np.maximum(trial, self.low), self.high)
         stopped = inside != trial

@@ -29,7 +29,7 @@ TRIED_AT_ONCE = 8
 LARGEST_STEP = 0.4
 """The most that a joint moves in one step, [rad] or [m], as far as the linear model holds."""
 
-DAMPING = 1e-9
+STRETCHED_ARM_DAMPING = 1e-9
 """[m²/rad²]: keeps the step of a stretched arm finite."""
 
 DIFFERENCE = 1e-5
@@ -45,7 +45,7 @@ def limits_of(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return np.where(np.isfinite(low), low, -math.pi), np.where(np.isfinite(high), high, math.pi)
 
 
-def off_the_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+def inner_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest readings, each a share :data:`FREE_SHARE` of its range nearer to the middle; see :func:`limits_of`."""
     low, high = limits_of(robot)
     margin = FREE_SHARE * (high - low)
@@ -60,7 +60,7 @@ def draw_readings(
     return np.asarray(rng.uniform(low, high, (n, len(low))))
 
 
-def brought(
+def readings_for_poses(
     robot: Robot, pose: Pose, miss: Miss, n: int, rng: np.random.Generator, place: str, advice: str
 ) -> np.ndarray:
     """Readings with which every row's target is where it must be, each from a posture drawn at random, shape (n, columns).
@@ -79,7 +79,7 @@ def brought(
     Raises:
         CampaignError: some rows cannot be reached.
     """
-    low, high = off_the_limits(robot)
+    low, high = inner_limits(robot)
     arrived = np.empty((n, len(low)))
     rows = np.arange(n)
     for _ in range(MOST_ROUNDS):
@@ -128,7 +128,7 @@ def _step(pose: Pose, miss: Miss, readings: np.ndarray, rows: np.ndarray) -> tup
     J = np.empty((*e.shape, readings.shape[1]))
     for k, shift in enumerate(DIFFERENCE * np.eye(readings.shape[1])):
         J[:, :, k] = (off(readings + shift) - off(readings - shift)) / (2 * DIFFERENCE)
-    H = J @ J.transpose(0, 2, 1) + DAMPING * np.eye(e.shape[1])
+    H = J @ J.transpose(0, 2, 1) + STRETCHED_ARM_DAMPING * np.eye(e.shape[1])
     step = -np.einsum("nkj,nk->nj", J, np.linalg.solve(H, e[:, :, None])[:, :, 0])
     longest = np.abs(step).max(axis=1, keepdims=True)
     return step * np.minimum(1.0, LARGEST_STEP / np.maximum(longest, 1e-300)), np.linalg.norm(e, axis=1)

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.engine.instruments.channels import columns
-from aridcal.engine.instruments.kinds import KINDS
-from aridcal.engine.rows.dataset import Dataset, RowNoise, of_block, weighed, with_sigma
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
+from aridcal.engine.rows.dataset import Dataset, RowNoise, block_data, weighed, with_sigma
 
 
 def with_declared_noise(data: Dataset, states: Mapping[str, np.ndarray]) -> Dataset:
@@ -26,7 +26,7 @@ def with_declared_noise(data: Dataset, states: Mapping[str, np.ndarray]) -> Data
         relative = data.relative.copy() if wide else data.relative[:, :, None] * np.eye(width)
     sigma, changed, first, channel = list(data.sigma), False, 0, 0
     for number, block in enumerate(data.blocks):
-        kind, rows = KINDS[block.kind], np.flatnonzero(data.labels.block == number)
+        kind, rows = MEASUREMENT_KINDS[block.kind], np.flatnonzero(data.labels.block == number)
         if kind.noise is not None and block.rows != "ignore" and len(rows):
             things = [
                 states[role.name][
@@ -38,7 +38,7 @@ def with_declared_noise(data: Dataset, states: Mapping[str, np.ndarray]) -> Data
             count = len(kind.channels)
             noise = RowNoise(covariance=covariance, absolute=block.rows == "absolute")
             reduced = replace(block, channels=kind.channels, sigma=block.sigma[:count])
-            part = weighed(replace(of_block(data, number, rows), blocks=(reduced,)), noise)
+            part = weighed(replace(block_data(data, number, rows), blocks=(reduced,)), noise)
             some = slice(first, first + covariance.shape[1])
             relative[rows, some, some] = part.relative
             sigma[channel : channel + count] = part.sigma

@@ -22,13 +22,13 @@ import pinocchio as pin
 
 from aridcal.engine.corrections.effect import LINK_COMPONENTS, Coefficient
 from aridcal.engine.model.joint_motions import Motion, joint_model, motion, rank, transform
-from aridcal.engine.model.many_rows import LEAST_TOGETHER, JointArrays, MovingFrame, stepped, twists, walked
-from aridcal.engine.robot.chain import Fixed, Joint, Robot
+from aridcal.engine.model.many_rows import LEAST_TOGETHER, JointArrays, MovingFrame, stepped, twists, walk_joints
+from aridcal.engine.robot.chain import FixedJoint, Joint, Robot
 from aridcal.engine.robot.doty import Link, doty_links, segments
 from aridcal.engine.robot.kinematics import carried_bodies
 
 # C(x, y, z, roll, pitch, yaw) = Tx Ty Tz Rz(yaw) Ry(pitch) Rx(roll): exactly URDF's xyz and rpy.
-ORDER = ("x", "y", "z", "yaw", "pitch", "roll")
+COMPONENT_ORDER = ("x", "y", "z", "yaw", "pitch", "roll")
 
 # Doty's link parameters as motions of frame components.
 LINK_AXES = {"d": "z", "theta": "yaw", "beta": "pitch", "a": "x", "alpha": "roll"}
@@ -70,7 +70,7 @@ class PlacedJoint(NamedTuple):
     motion: Motion
 
 
-class Step(NamedTuple):
+class ChainStep(NamedTuple):
     """A step from base to tip: a fixed placement, then a joint of the extended model or the end of an origin.
 
     Attributes:
@@ -90,7 +90,7 @@ class Step(NamedTuple):
     climbs: bool = False
 
 
-def own_slot(name: str) -> Slot:
+def robot_slot(name: str) -> Slot:
     """A joint of the robot itself."""
     return Slot(name, "own", "")
 
@@ -105,11 +105,11 @@ def slot_of(c: Coefficient) -> Slot:
 
 def frame_slots(where: str, needed: Sequence[Slot]) -> list[Slot]:
     """The joints that move a frame, in the order of C."""
-    every = [Slot(where, "constant", component) for component in ORDER]
+    every = [Slot(where, "constant", component) for component in COMPONENT_ORDER]
     return [slot for slot in every if slot in needed]
 
 
-def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> list[Step]:
+def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> list[ChainStep]:
     """Walk from base to tip.
 
     Args:
@@ -119,7 +119,7 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     """
     corrected = {slot.where for slot in needed if slot.group == "link"}
     link_after = {link.joint: link for link in links if link.joint in corrected}
-    steps: list[Step] = []
+    steps: list[ChainStep] = []
     placement = before = pin.SE3.Identity()
     groups: dict[tuple[str, Group], list[Slot]] = {}
     for slot in needed:
@@ -128,15 +128,15 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     def put(joints: Sequence[tuple[Slot, Motion]]) -> None:
         nonlocal placement
         for slot, move in joints:
-            steps.append(Step(placement, slot, move))
+            steps.append(ChainStep(placement, slot, move))
             placement = pin.SE3.Identity()
 
     def end_of_origin(name: str, climbs: bool = False) -> None:
         nonlocal placement, before
-        steps.append(Step(placement, origin=name, before=before, climbs=climbs))
+        steps.append(ChainStep(placement, origin=name, before=before, climbs=climbs))
         placement = before = pin.SE3.Identity()
 
-    def cross(fixed: Sequence[Fixed]) -> None:
+    def cross(fixed: Sequence[FixedJoint]) -> None:
         nonlocal placement, before
         for each in fixed:
             constants = _sorted(groups.get((each.name, "constant"), ()), None)
@@ -156,7 +156,7 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     for joint, fixed in zip(robot.joints, robot.fixed, strict=False):
         constants = _sorted(groups.get((joint.name, "constant"), ()), joint)
         effects = _sorted(groups.get((joint.name, "effect"), ()), joint)
-        own_motion = [(own_slot(joint.name), motion("axis", joint))]
+        own_motion = [(robot_slot(joint.name), motion("axis", joint))]
         moves = own_motion + effects if joint.kind == "prismatic" else effects + own_motion
         if after is None:
             cross(fixed)
@@ -236,7 +236,7 @@ class ExtendedModel:
         return tuple(slot_of(c) for c in self.coefficients)
 
     @cached_property
-    def chain(self) -> list[Step]:
+    def chain(self) -> list[ChainStep]:
         """From base to tip, without the frames at either end."""
         return chain_steps(self.robot, self.links, self._needed)
 
@@ -260,7 +260,7 @@ class ExtendedModel:
     @cached_property
     def own(self) -> list[int]:
         """Coordinate of each joint of the robot itself."""
-        return [self.index[own_slot(name)] for name in self.robot.names]
+        return [self.index[robot_slot(name)] for name in self.robot.names]
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
@@ -391,7 +391,7 @@ class ExtendedModel:
         placements, end = self._ends(world, tip)
         for k, placement in placements.items():
             self._stepped.placement[k] = placement.homogeneous
-        return walked(self._stepped, q, end.homogeneous)
+        return walk_joints(self._stepped, q, end.homogeneous)
 
     def _ends(self, world: int, tip: int) -> tuple[dict[int, pin.SE3], pin.SE3]:
         """Placements that one pair of frames gives to joints, by their coordinates, and that of the target on the last one.

@@ -20,7 +20,7 @@ LEAST_HATS = 200
 
 
 @dataclass(frozen=True)
-class Local:
+class LocalColumns:
     """K coefficients of which few act in a row.
 
     Attributes:
@@ -104,7 +104,7 @@ def _summed(which: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(to.T @ values.reshape(size, -1))
 
 
-def local(coefficients: Sequence[Coefficient], carrier: np.ndarray) -> Local | None:
+def local(coefficients: Sequence[Coefficient], carrier: np.ndarray) -> LocalColumns | None:
     """Which coefficients act in few rows; None where a column for each of them is quicker.
 
     Args:
@@ -115,4 +115,4 @@ def local(coefficients: Sequence[Coefficient], carrier: np.ndarray) -> Local | N
     if hats < LEAST_HATS or any(c.station is not None for c in coefficients):
         return None
     constant = np.array([c.basis.constant for c in coefficients], dtype=bool)
-    return Local(np.flatnonzero(constant), np.flatnonzero(~constant), carrier)
+    return LocalColumns(np.flatnonzero(constant), np.flatnonzero(~constant), carrier)

@@ -24,17 +24,17 @@ LEAST_TOGETHER = 40
 """Rows from which they are walked together: 0.3 ms and 0.5 us a row. Pinocchio takes 2 us a row, and 2 ms or more for a model,
 of which few questions are asked as a rule."""
 
-BLOCK = 2048
+ROWS_PER_BLOCK = 2048
 """Rows walked or differentiated at a time: all that is made on the way stays in the cache, and memory stays flat."""
 
 
 def blocks(n: int) -> list[slice]:
     """Stretches of n rows that are worked on at a time; a last stretch too short to be walked together joins the one before."""
-    begins = range(0, max(n - LEAST_TOGETHER + 1, min(n, 1)), BLOCK)
-    return [slice(start, n if start == begins[-1] else start + BLOCK) for start in begins]
+    begins = range(0, max(n - LEAST_TOGETHER + 1, min(n, 1)), ROWS_PER_BLOCK)
+    return [slice(start, n if start == begins[-1] else start + ROWS_PER_BLOCK) for start in begins]
 
 
-def few(n: int) -> list[slice]:
+def short_stretches(n: int) -> list[slice]:
     """Stretches of n rows that are walked one by one: a row's numbers must not depend, by a digit, on the rows beside it."""
     return [slice(start, start + LEAST_TOGETHER - 1) for start in range(0, max(n, 1), LEAST_TOGETHER - 1)]
 
@@ -83,7 +83,9 @@ def stepped(joints: Sequence[tuple[pin.SE3, Motion]]) -> JointArrays:
     )
 
 
-def walked(joints: JointArrays, q: np.ndarray, target: np.ndarray) -> tuple[list[MovingFrame], np.ndarray, np.ndarray]:
+def walk_joints(
+    joints: JointArrays, q: np.ndarray, target: np.ndarray
+) -> tuple[list[MovingFrame], np.ndarray, np.ndarray]:
     """Walk the joints.
 
     Args:
@@ -121,7 +123,7 @@ def twists(frames: Sequence[MovingFrame], target: np.ndarray) -> np.ndarray:
     """Twists of the target in world axes by each joint, shape (n, 6, nv): linear, then angular. In memory rows run fastest.
 
     Args:
-        frames: Those that move; see :func:`walked`.
+        frames: Those that move; see :func:`walk_joints`.
         target: Where the target is, shape (n, 3), [m].
     """
     n = len(target)

@@ -15,27 +15,27 @@ from aridcal.engine.corrections.labels import label_columns
 from aridcal.engine.corrections.loads import Surroundings, covariate_table, is_load, needs
 from aridcal.engine.corrections.sights import is_sight, sight_table, target_places
 from aridcal.engine.instruments.setup import Instruments
-from aridcal.engine.model.extended import ORDER, ExtendedModel, Slot, own_slot
+from aridcal.engine.model.extended import COMPONENT_ORDER, ExtendedModel, Slot, robot_slot
 from aridcal.engine.model.joint_motions import motion, transform
-from aridcal.engine.model.local import Local, local
+from aridcal.engine.model.local import LocalColumns, local
 from aridcal.engine.model.many_rows import blocks
 from aridcal.engine.robot.chain import Robot, Route
 from aridcal.engine.robot.doty import doty_links, links_down
 from aridcal.system.errors import CovariateNotFound, MeasurementError, RobotError
 
-SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
+UNIT_SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
 """Size in each unit that counts as much as a metre or a radian: half a usual focal length [px]; lens terms reach 10."""
 
 ONE_FRAME = ((None, pin.SE3.Identity()),)
 
-Frames = tuple[tuple[str | None, pin.SE3], ...]
+LabelledFrames = tuple[tuple[str | None, pin.SE3], ...]
 
 _Derived = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Poses of rows: rotations (n, 3, 3) and positions (n, 3), [m]; and twists of the target, (n, 6, k)."""
 
 
 @dataclass(frozen=True)
-class Rows:
+class ModelRows:
     """Measured configurations as a model sees them.
 
     Attributes:
@@ -55,13 +55,13 @@ class Rows:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def __getitem__(self, rows: slice | np.ndarray) -> Rows:
+    def __getitem__(self, rows: slice | np.ndarray) -> ModelRows:
         route = None if self.route is None else self.route[rows]
-        return Rows(self.positions[rows], self.phi.T[:, rows].T, self.world[rows], self.tip[rows], route)
+        return ModelRows(self.positions[rows], self.phi.T[:, rows].T, self.world[rows], self.tip[rows], route)
 
 
 @dataclass(frozen=True)
-class Locked:
+class LockedModel:
     """A robot with its effects, and nothing else that moves.
 
     Attributes:
@@ -100,11 +100,11 @@ class _Arm:
     columns: np.ndarray
     in_world: bool
 
-    def rows(self, rows: Rows, some: np.ndarray | slice = slice(None)) -> Rows:
+    def rows(self, rows: ModelRows, some: np.ndarray | slice = slice(None)) -> ModelRows:
         """Some of the whole model's rows as the chain's model sees them."""
         world = rows.world[some] if self.in_world else np.zeros_like(rows.world[some])
         phi = rows.phi.T[self.based][:, some].T
-        return Rows(rows.positions[some][:, self.joints], phi, world, rows.tip[some])
+        return ModelRows(rows.positions[some][:, self.joints], phi, world, rows.tip[some])
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ class Model:
 
     robot: Robot
     coefficients: tuple[Coefficient, ...]
-    world_base: Frames = ONE_FRAME
-    tip_target: Frames = ONE_FRAME
+    world_base: LabelledFrames = ONE_FRAME
+    tip_target: LabelledFrames = ONE_FRAME
     around: Surroundings = field(default_factory=Surroundings)
     instruments: Instruments = field(default_factory=Instruments)
     states: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -172,7 +172,7 @@ class Model:
         station: np.ndarray | None = None,
         target: np.ndarray | None = None,
         route: np.ndarray | None = None,
-    ) -> Rows:
+    ) -> ModelRows:
         """Prepare measured configurations.
 
         Args:
@@ -210,7 +210,7 @@ class Model:
             phi[:, k] = evaluate(c.basis, table)
             if c.station is not None:
                 phi[:, k] *= _labels(at_tip if c.where == "tip_target" else station, n) == c.station
-        return Rows(self.robot.positions(readings), phi, world, tip, route)
+        return ModelRows(self.robot.positions(readings), phi, world, tip, route)
 
     def sight_columns(
         self, readings: np.ndarray, gravity: np.ndarray, tip: np.ndarray, route: np.ndarray | None
@@ -224,7 +224,7 @@ class Model:
                 columns.setdefault(name, np.zeros(len(readings)))[some] = values
         return columns
 
-    def target_places(self, rows: Rows, readings: np.ndarray) -> np.ndarray:
+    def target_places(self, rows: ModelRows, readings: np.ndarray) -> np.ndarray:
         """Places of the targets of rows, the arm nominal, in the base's frame or that of the link where their paths start.
 
         Args:
@@ -239,7 +239,7 @@ class Model:
             places[some] = target_places(arm.model.robot, readings[some][:, arm.columns], targets[some])
         return places
 
-    def poses(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    def poses(self, theta: np.ndarray, rows: ModelRows) -> tuple[np.ndarray, np.ndarray]:
         """Target poses T_world_target: rotations (N, 3, 3) and positions (N, 3) in [m]."""
         R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
         if self.divided:
@@ -252,7 +252,7 @@ class Model:
                 R[part], p[part] = self._extended.poses(self._configurations(theta, rows[part]), world, tip)
         return R, p
 
-    def jacobian(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def jacobian(self, theta: np.ndarray, rows: ModelRows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         r"""Differentiate the target pose with respect to the coefficients.
 
         .. math:: J_k = J_{joint(k)} \, \varphi_k(z)
@@ -274,7 +274,7 @@ class Model:
         R, p, twists = self.motions(theta, rows)
         return R, p, np.ascontiguousarray(self.of_coefficients(twists, rows))
 
-    def motions(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def motions(self, theta: np.ndarray, rows: ModelRows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The poses, and the twists of the target that the extended model's joints cause, (N, 6, joints), rows fastest."""
         n, q, variants = len(rows), self._configurations(theta, rows), self._variants(rows)
         if len(variants) == 1:
@@ -285,7 +285,7 @@ class Model:
             R[index], p[index], twists[index] = self._extended.jacobian(q[index], world, tip)
         return R, p, twists
 
-    def by_readings(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def by_readings(self, theta: np.ndarray, rows: ModelRows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The poses, and the twists of the target that readings cause while effects stay as they are, (N, 6, columns)."""
         if self.divided:
             count = len(self.robot.readings)
@@ -296,7 +296,7 @@ class Model:
         return R, p, twists[:, :, self._extended.own] @ self.robot.factors
 
     def _of_arms(
-        self, rows: Rows, count: int, differentiate: Callable[[_Arm, Rows], tuple[np.ndarray, _Derived]]
+        self, rows: ModelRows, count: int, differentiate: Callable[[_Arm, ModelRows], tuple[np.ndarray, _Derived]]
     ) -> _Derived:
         """Poses and ``count`` columns of twists of all rows, from those of each chain's rows.
 
@@ -313,7 +313,7 @@ class Model:
             J[some] = whole_rows
         return R, p, J
 
-    def of_coefficients(self, twists: np.ndarray, rows: Rows, first: int = 0) -> np.ndarray:
+    def of_coefficients(self, twists: np.ndarray, rows: ModelRows, first: int = 0) -> np.ndarray:
         """Columns of the coefficients from ``first`` on, (N, m, K), from those of the joints that carry them, (N, m, joints)."""
         J = twists.T[self._extended.carrier[first:]].T  # rows stay what runs fastest in memory
         which = self._based[self._based >= first] - first
@@ -354,7 +354,7 @@ class Model:
         base, tip = (next(iter(labels), None) for labels in (stations, targets))
         return (base or tip, None) if base is None or stations == targets else (base, tip)
 
-    def frames(self, theta: np.ndarray) -> tuple[Frames, Frames]:
+    def frames(self, theta: np.ndarray) -> tuple[LabelledFrames, LabelledFrames]:
         """T_world_base and T_tip_target with the constants applied."""
         world = [(label, self._frame("world_base", label, start, theta)) for label, start in self.world_base]
         tip = [(label, self._frame("tip_target", label, start, theta)) for label, start in self.tip_target]
@@ -366,7 +366,7 @@ class Model:
             (c, x) for c, x in zip(self.coefficients, theta, strict=True) if c.where == where and c.station == label
         ]
         value = {c.component: x for c, x in constants if c.basis.constant}
-        for component in ORDER:
+        for component in COMPONENT_ORDER:
             if component in value:
                 start = start * transform(motion(component), value[component])
         return start
@@ -377,7 +377,7 @@ class Model:
         frame = [c.where in ("world_base", "tip_target") and c.basis.constant for c in self.coefficients]
         return replace(self, world_base=world, tip_target=tip), np.where(frame, 0.0, theta)
 
-    def locked(self, theta: np.ndarray, station: str | None = None, target: str | None = None) -> Locked:
+    def locked(self, theta: np.ndarray, station: str | None = None, target: str | None = None) -> LockedModel:
         """The first path's chain and its effects alone: whatever moves alike in all rows is locked where theta has it.
 
         Args:
@@ -397,12 +397,12 @@ class Model:
         at_base, at_tip = (None if label is None else np.array([label]) for label in (station, target or station))
         world, tip = (int(_frame_index(*end, 1)[0]) for end in ((self.world_base, at_base), (self.tip_target, at_tip)))
         slots = self._extended.slots
-        robot_slots = [own_slot(name) for name in self.robot.names]
+        robot_slots = [robot_slot(name) for name in self.robot.names]
         moving = {*robot_slots, *(slots[k] for k in self._varying)}
         model, target = self._extended.locked(self._constant_values(theta), moving, world, tip)
         index = {name: k for k, name in enumerate(list(model.names)[1:])}
         carrier_of = [index[slot.name] if slot in moving else -1 for slot in slots]
-        return Locked(
+        return LockedModel(
             model=model,
             target=target,
             own=np.array([index[slot.name] for slot in robot_slots]),
@@ -422,7 +422,7 @@ class Model:
         size = np.ones(len(self.coefficients))
         for k in np.flatnonzero(self.at_things):
             c = self.coefficients[k]
-            size[k] = SIZES[self.instruments.unit(c.where, c.component)]
+            size[k] = UNIT_SIZES[self.instruments.unit(c.where, c.component)]
         return size
 
     @cached_property
@@ -514,7 +514,7 @@ class Model:
         pairs = [(arm, np.flatnonzero(route == k)) for k, arm in enumerate(self._arms)]
         return [(arm, some) for arm, some in pairs if len(some)]
 
-    def chains(self, rows: Rows) -> list[tuple[slice | np.ndarray, Model, np.ndarray, Rows]]:
+    def chains(self, rows: ModelRows) -> list[tuple[slice | np.ndarray, Model, np.ndarray, ModelRows]]:
         """For each path its rows' numbers, its chain's model, the numbers of that model's coefficients, its rows as it sees them.
 
         Empty where the model is one chain.
@@ -528,7 +528,7 @@ class Model:
         return ExtendedModel(self.robot, self.coefficients, world, tip)
 
     @cached_property
-    def local(self) -> Local | None:
+    def local(self) -> LocalColumns | None:
         """Which coefficients act in few rows; None where a column for each of them is quicker."""
         return None if self.divided else local(self.coefficients, self._extended.carrier)
 
@@ -542,7 +542,7 @@ class Model:
         """Coefficients that are no constants."""
         return np.flatnonzero([not c.basis.constant for c in self.coefficients])
 
-    def _variants(self, rows: Rows) -> list[tuple[slice | np.ndarray, int, int]]:
+    def _variants(self, rows: ModelRows) -> list[tuple[slice | np.ndarray, int, int]]:
         """Groups of rows that share their frames: row numbers, and the indices of the frames at the base and at the target."""
         tips = len(self.tip_target)
         if len(self.world_base) == tips == 1:
@@ -552,7 +552,7 @@ class Model:
         ends = np.flatnonzero(np.diff(pair[order])) + 1
         return [(index, *divmod(int(pair[index[0]]), tips)) for index in np.split(order, ends) if len(index)]
 
-    def _configurations(self, theta: np.ndarray, rows: Rows) -> np.ndarray:
+    def _configurations(self, theta: np.ndarray, rows: ModelRows) -> np.ndarray:
         """Positions of all joints of the extended model, shape (N, nv): theta_k phi_k(z), summed where joints are shared."""
         carrier = self._extended.carrier
         q = np.zeros((len(rows), len(self._extended.index)))
@@ -570,7 +570,7 @@ class Model:
                 q[:, carrier[k]] += theta[k] * (at == frame)
         return q
 
-    def _stationed(self, rows: Rows) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
+    def _stationed(self, rows: ModelRows) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
         """Constants of single stations, as :attr:`_of_frames`, and the rows' frames, (n,), at each end where there are any."""
         return [
             (constants, at)
@@ -600,7 +600,7 @@ def _labels(station: np.ndarray | None, n: int) -> np.ndarray:
     return np.full(n, "") if station is None else station
 
 
-def _frame_index(frames: Frames, label: np.ndarray | None, n: int, per: str = "station") -> np.ndarray:
+def _frame_index(frames: LabelledFrames, label: np.ndarray | None, n: int, per: str = "station") -> np.ndarray:
     labels = [name for name, _ in frames]
     if labels in ([], [None]):
         return np.zeros(n, dtype=int)

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from aridcal.engine.corrections.sights import Sights, sights_from
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
@@ -36,7 +36,7 @@ def sights_of(model: Model, train: Dataset) -> Sights:
 
 def references(rows: Dataset) -> Iterator[tuple[str, str, np.ndarray]]:
     """Role and name of each thing, and the rows that refer to it, shape (N,) bool."""
-    roles = dict.fromkeys(role.name for block in rows.blocks for role in KINDS[block.kind].roles)
+    roles = dict.fromkeys(role.name for block in rows.blocks for role in MEASUREMENT_KINDS[block.kind].roles)
     for role in roles:
         label = labels_of(rows, role)
         for name in np.unique(label[label != ""]).tolist():
@@ -47,7 +47,7 @@ def labels_of(rows: Dataset, role: str) -> np.ndarray:
     """Name of the thing of a role to which each row refers, empty for none, shape (N,)."""
     names = np.full(len(rows), "", dtype=rows.labels.refers.dtype)
     for number, block in enumerate(rows.blocks):
-        for k, each in enumerate(KINDS[block.kind].roles):
+        for k, each in enumerate(MEASUREMENT_KINDS[block.kind].roles):
             if each.name == role:
                 some = rows.labels.block == number
                 names[some] = rows.labels.refers[some, k]

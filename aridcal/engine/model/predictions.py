@@ -9,14 +9,14 @@ from itertools import pairwise
 import numpy as np
 
 from aridcal.engine.instruments.channels import columns
-from aridcal.engine.instruments.kind import Kind
+from aridcal.engine.instruments.kind import MeasurementKind
 from aridcal.engine.instruments.setup import Block, Instruments, Things
 from aridcal.engine.model.many_rows import blocks
-from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import MeasurementError
 
-States = Mapping[str, np.ndarray]
+ThingStates = Mapping[str, np.ndarray]
 """Where things are, (L, P) by role."""
 
 AGREEMENT_STEPS = 6
@@ -36,7 +36,7 @@ DIVISION_GUARD = 1e-300
 
 
 @dataclass(frozen=True)
-class Moved:
+class ThingMotion:
     """A coefficient that moves a thing.
 
     Attributes:
@@ -72,7 +72,7 @@ class Slopes:
 
 
 @dataclass(frozen=True)
-class Sight:
+class RowLinearisation:
     """Residuals of n rows of m numbers at some values of a model's K coefficients, and how they change.
 
     Attributes:
@@ -89,7 +89,7 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Measured:
+class Observations:
     """What rows read, and of which things, beside the model that is to predict it: N rows of m numbers.
 
     Attributes:
@@ -112,24 +112,24 @@ class Measured:
     """
 
     model: Model
-    rows: Rows
+    rows: ModelRows
     blocks: tuple[Block, ...]
     parts: tuple[slice, ...]
     block: np.ndarray
     observed: np.ndarray
     refers: np.ndarray
     instruments: Instruments
-    moved: tuple[Moved, ...]
+    moved: tuple[ThingMotion, ...]
     width: int
     direct: bool
-    states: States
+    states: ThingStates
     wide: Model | None = None
-    agreed: Rows | None = None
+    agreed: ModelRows | None = None
 
     def __len__(self) -> int:
         return len(self.block)
 
-    def __getitem__(self, some: slice | np.ndarray) -> Measured:
+    def __getitem__(self, some: slice | np.ndarray) -> Observations:
         return replace(
             self,
             rows=self.rows[some],
@@ -139,14 +139,14 @@ class Measured:
             agreed=None if self.agreed is None else self.agreed[some],
         )
 
-    def narrowed(self, numbers: Sequence[int]) -> Measured:
+    def narrowed(self, numbers: Sequence[int]) -> Observations:
         """The same rows beside a model of some of the coefficients, by their numbers, ascending."""
         every = self.model.coefficients
         varying = [k for k, c in enumerate(every) if not c.basis.constant]
         columns = [varying.index(k) for k in numbers if k in set(varying)]
         model = self.model.with_coefficients([every[k] for k in numbers])
 
-        def narrowed_rows(rows: Rows) -> Rows:
+        def narrowed_rows(rows: ModelRows) -> ModelRows:
             return replace(rows, phi=rows.phi.T[columns].T)
 
         return replace(
@@ -178,11 +178,11 @@ class Measured:
         """True if nobody knows where some thing is."""
         return any(np.isnan(state).any() for state in self.states.values())
 
-    def of_kind(self, number: int) -> tuple[Kind, np.ndarray]:
+    def of_kind(self, number: int) -> tuple[MeasurementKind, np.ndarray]:
         """The kind of a block, and the numbers of its rows."""
         return self.blocks[number].traits, np.flatnonzero(self.block == number)
 
-    def _by_block(self) -> Iterator[tuple[slice, Kind, np.ndarray | slice]]:
+    def _by_block(self) -> Iterator[tuple[slice, MeasurementKind, np.ndarray | slice]]:
         """For each block with rows: columns of its numbers, its kind, its rows (of an only block a slice: nothing is copied)."""
         for number, part in enumerate(self.parts):
             kind, rows = self.of_kind(number) if len(self.blocks) > 1 else (self.blocks[0].traits, slice(None))
@@ -210,7 +210,7 @@ class Measured:
         """
         if self.lost:
             R, p = self.model.poses(theta, self.rows)
-            states, stretch = located(self, R, p, theta)
+            states, stretch = solve_things(self, R, p, theta)
             return replace(self, states=states).left(R, p, theta) * stretch[:, None]
         r = np.empty((len(self), self.width))
         for part in blocks(len(self)):  # so that all rows' axes are never there at once
@@ -218,12 +218,12 @@ class Measured:
             r[part] = some.left(*self.model.poses(theta, some.rows), theta)
         return r
 
-    def settled(self, theta: np.ndarray) -> Measured:
+    def settled(self, theta: np.ndarray) -> Observations:
         """The same rows with the things that the model does not know located from these rows alone."""
         if not self.lost:
             return self
         R, p = self.model.poses(theta, self.rows)
-        return replace(self, states=located(self, R, p, theta)[0])
+        return replace(self, states=solve_things(self, R, p, theta)[0])
 
     def of_joints(self, theta: np.ndarray, uneven: bool) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (n, m) of rows that are :attr:`direct`, and what the joints of the model take off them, (n, m, joints).
@@ -240,22 +240,22 @@ class Measured:
             twists[:, 3:] += 0.5 * np.cross(r[:, 3:, None], twists[:, 3:], axis=1)
         return r, twists
 
-    def sight(self, theta: np.ndarray) -> Sight:
+    def sight(self, theta: np.ndarray) -> RowLinearisation:
         """Residuals and their derivatives by coefficients and things."""
         if self.conditions.any():
             R, p = self.model.poses(theta, self.rows)
-            here = replace(self, states=located(self, R, p, theta)[0])
+            here = replace(self, states=solve_things(self, R, p, theta)[0])
             r = here.left(R, p, theta)
             slopes, J, positions = here.where_they_agree(theta)
         else:
             R, p, J = _distinct_rows_once(lambda some: self.model.jacobian(theta, some), self.rows)
-            slopes = replace(self, states=located(self, R, p, theta)[0]).slopes(R, p, theta)
+            slopes = replace(self, states=solve_things(self, R, p, theta)[0]).slopes(R, p, theta)
             r, J, positions = slopes.residual, slopes.by_twist @ J, self.rows.positions
         for c, column in zip(self.moved, slopes.by_moved, strict=True):
             J[:, :, c.index] = column
-        return Sight(np.nan_to_num(r), J, slopes.by_thing, positions)
+        return RowLinearisation(np.nan_to_num(r), J, slopes.by_thing, positions)
 
-    def agreeing(self, theta: np.ndarray, rows_at: Callable[[np.ndarray], Rows]) -> Measured:
+    def agreeing(self, theta: np.ndarray, rows_at: Callable[[np.ndarray], ModelRows]) -> Observations:
         """The same rows, to be differentiated where measurements and model agree: readings moved as little as possible.
 
         What no measurement of a kind can tell (turns of the base where points are unknown, the scale where no length is known)
@@ -348,7 +348,7 @@ class Measured:
         return Slopes(r, twist, by_moved, by_thing)
 
     def _states(
-        self, kind: Kind, rows: np.ndarray | slice, theta: np.ndarray
+        self, kind: MeasurementKind, rows: np.ndarray | slice, theta: np.ndarray
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """States (n, P) and changes (n, u) of some rows' things, for each role of their kind; 0 where a role has no faults."""
         states, changes = [], []
@@ -372,7 +372,7 @@ class Measured:
 
 
 def _distinct_rows_once(
-    differentiate: Callable[[Rows], tuple[np.ndarray, np.ndarray, np.ndarray]], rows: Rows
+    differentiate: Callable[[ModelRows], tuple[np.ndarray, np.ndarray, np.ndarray]], rows: ModelRows
 ) -> tuple[np.ndarray, ...]:
     """A model's answers for rows, computed once for equal rows that follow one another, as the marks in one image do."""
     route = np.zeros(len(rows)) if rows.route is None else rows.route  # one image may show marks of several limbs
@@ -385,7 +385,7 @@ def _distinct_rows_once(
     return tuple(result[number] for result in differentiate(rows[np.flatnonzero(new)]))
 
 
-def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None) -> Rows:
+def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None) -> ModelRows:
     """The rows of a data set as a model sees them; with other readings of their joints, shape (N, columns), if these are given.
 
     Raises:
@@ -403,28 +403,28 @@ def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None
     return model.rows(at, data.conditions, data.labels.station, data.labels.target, route)
 
 
-def rows_at(observations: Measured, data: Dataset, positions: np.ndarray) -> Rows:
+def rows_at(observations: Observations, data: Dataset, positions: np.ndarray) -> ModelRows:
     """The rows of a data set with their joints, and all that depends on them, at other positions, shape (N, joints)."""
     return replace(
         rows_of_data(observations.model, data, readings_at(observations, data, positions)), positions=positions
     )
 
 
-def readings_at(observations: Measured, data: Dataset, positions: np.ndarray) -> np.ndarray:
+def readings_at(observations: Observations, data: Dataset, positions: np.ndarray) -> np.ndarray:
     """Readings of the joints, shape (N, columns), had they been at other positions, shape (N, joints)."""
     robot = observations.model.robot
     joints = [robot.names.index(name) for name in robot.readings]
     return np.asarray(data.readings + (positions - observations.rows.positions)[:, joints])
 
 
-def measured(model: Model, data: Dataset) -> Measured:
+def observations_of(model: Model, data: Dataset) -> Observations:
     """What the rows of a data set read, beside a model; things that the model does not know are added to its own.
 
     Raises:
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: see :func:`rows_of_data`.
     """
-    instruments, number = joined(model.instruments, data.instruments)
+    instruments, number = merged_instruments(model.instruments, data.instruments)
     none = np.broadcast_to(-1, data.labels.refers.shape)  # of many rows of one tracker a number each would count
     refers = none.copy() if number else none
     for b, block in enumerate(data.blocks):
@@ -438,7 +438,7 @@ def measured(model: Model, data: Dataset) -> Measured:
     for name, state in model.states.items():
         states[name] = np.vstack([state, states[name][len(state) :]])
     conditional = any(block.traits.condition for block in data.blocks)
-    return Measured(
+    return Observations(
         model=model,
         rows=rows_of_data(model, data),
         blocks=data.blocks,
@@ -461,7 +461,7 @@ def _direct(model: Model, data: Dataset) -> bool:
     return alone and not any(things.free.any() for things in data.instruments.things.values())
 
 
-def joined(first: Instruments, more: Instruments) -> tuple[Instruments, dict[str, dict[str, int]]]:
+def merged_instruments(first: Instruments, more: Instruments) -> tuple[Instruments, dict[str, dict[str, int]]]:
     """The things of both instruments, those of the first before the others, and the number of each by role and name."""
     things = dict(first.things)
     for role, new in more.things.items():
@@ -486,7 +486,7 @@ def _with(old: Things, new: Things) -> Things:
     )
 
 
-def _thing_coefficients(model: Model) -> tuple[Moved, ...]:
+def _thing_coefficients(model: Model) -> tuple[ThingMotion, ...]:
     """The model's coefficients that move things."""
     place = {name: (role, k) for role, things in model.instruments.things.items() for name, k in things.places.items()}
     varying = np.cumsum([not c.basis.constant for c in model.coefficients]) - 1
@@ -495,7 +495,7 @@ def _thing_coefficients(model: Model) -> tuple[Moved, ...]:
         c = model.coefficients[k]
         role, thing = place[c.where]
         components = model.instruments.things[role].role.moved_by(c.where, c.component)
-        coefficients.append(Moved(k, None if c.basis.constant else int(varying[k]), role, thing, components))
+        coefficients.append(ThingMotion(k, None if c.basis.constant else int(varying[k]), role, thing, components))
     return tuple(coefficients)
 
 
@@ -506,7 +506,9 @@ LOCATION_TOLERANCE = 1e-10
 """Change of a thing's components that ends its location: rounding."""
 
 
-def located(observations: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> tuple[States, np.ndarray]:
+def solve_things(
+    observations: Observations, R: np.ndarray, p: np.ndarray, theta: np.ndarray
+) -> tuple[ThingStates, np.ndarray]:
     """Solve for the things whose place nobody knows, each from its own rows, while all else stays.
 
     Args:
@@ -539,7 +541,7 @@ def located(observations: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndar
 
 
 def _located_thing(
-    part: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray, name: str, k: int
+    part: Observations, R: np.ndarray, p: np.ndarray, theta: np.ndarray, name: str, k: int
 ) -> tuple[np.ndarray, int]:
     """State (P,) of one thing from its rows alone, and how many of its components these rows determine."""
     number = int(part.block[0])

@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from aridcal.engine.robot.drive import NOTHING, Drive, Stated
+from aridcal.engine.robot.drive import NO_STATEMENTS, Drive, StatedJoints
 from aridcal.engine.robot.expand import plain_name, read_urdf
-from aridcal.engine.robot.tree import LARGEST, UrdfTree, numbers, parse_xml, read_tree
+from aridcal.engine.robot.tree import LARGEST_IN_URDF, UrdfTree, numbers, parse_xml, read_tree
 from aridcal.system.errors import RobotError, nearest, shortened
 from aridcal.system.reading.regular_files import URDF, Limit
 
@@ -55,7 +55,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Column:
+class ReadingColumn:
     """Readings that a measurement needs.
 
     Attributes:
@@ -71,7 +71,7 @@ class Column:
     upper: float
 
 
-class Fixed(NamedTuple):
+class FixedJoint(NamedTuple):
     """A joint of the chain that does not move.
 
     Attributes:
@@ -117,15 +117,15 @@ class Robot:
     base: str
     tip: str
     joints: tuple[Joint, ...]
-    columns: tuple[Column, ...]
+    columns: tuple[ReadingColumn, ...]
     tip_joint: str | None
     tip_before: pin.SE3
     tip_origin: pin.SE3
     moves: Mapping[str, tuple[np.ndarray, str]] = field(repr=False)
     mimics: Mapping[str, Drive] = field(repr=False)
     packages: Mapping[str, Path] = field(default_factory=dict, repr=False)
-    stated: Stated = NOTHING
-    fixed: tuple[tuple[Fixed, ...], ...] = ()
+    stated: StatedJoints = NO_STATEMENTS
+    fixed: tuple[tuple[FixedJoint, ...], ...] = ()
     others: tuple[Robot, ...] = ()
 
     @cached_property
@@ -282,7 +282,7 @@ def load_robot(
     limit: Limit = URDF,
     packages: Mapping[str, Path] | None = None,
     arguments: Mapping[str, str] | None = None,
-    stated: Stated = NOTHING,
+    stated: StatedJoints = NO_STATEMENTS,
 ) -> Robot:
     """Read the chain base -> tip of a URDF file.
 
@@ -311,13 +311,13 @@ def parse_robot(
     base: str | None = None,
     path: Path = Path("robot.urdf"),
     packages: Mapping[str, Path] | None = None,
-    stated: Stated = NOTHING,
+    stated: StatedJoints = NO_STATEMENTS,
 ) -> Robot:
     """Read the chain base -> tip from a URDF's bytes; see :func:`load_robot`."""
     return replace(chain(read_tree(urdf, path, stated), tip, base), packages=packages or {}, stated=stated)
 
 
-def same_chain(robot: Robot, urdf: bytes) -> Robot:
+def chain_in_urdf(robot: Robot, urdf: bytes) -> Robot:
     """A robot's chain in another URDF of it, the one with corrected origins."""
     other = parse_robot(urdf, robot.tip, robot.base, robot.path, robot.packages, robot.stated)
     return with_limbs(other, [limb.tip for limb in robot.others]) if robot.others else other
@@ -384,7 +384,7 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None, still: bool = False
 
     joints: list[Joint] = []
     before, name, origin = pin.SE3.Identity(), None, pin.SE3.Identity()
-    fixed: list[list[Fixed]] = [[]]
+    fixed: list[list[FixedJoint]] = [[]]
     for element, climbs in (*((e, True) for e in up), *((e, False) for e in reversed(down))):
         kind, joint = element.get("type", ""), str(element.get("name"))
         placement = tree.origins[joint]
@@ -394,10 +394,10 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None, still: bool = False
             fixed.append([])
         elif kind == "fixed" and climbs:
             before = before * placement.inverse()
-            fixed[-1].append(Fixed(joint, placement, True))
+            fixed[-1].append(FixedJoint(joint, placement, True))
         elif kind == "fixed":
             before, name, origin = before * origin, joint, placement
-            fixed[-1].append(Fixed(joint, placement, False))
+            fixed[-1].append(FixedJoint(joint, placement, False))
         else:
             raise RobotError(
                 f"{path}: joint {joint!r} on the chain is {shortened(kind)!r}: only serial chains of "
@@ -457,9 +457,9 @@ def _joint(name: str, before: pin.SE3, tree: UrdfTree, climbs: bool) -> Joint:
     return Joint(name, kind, axis, before, tree.origins[name], drive, climbs)
 
 
-def _columns(joints: Sequence[Joint], tree: UrdfTree) -> tuple[Column, ...]:
+def _columns(joints: Sequence[Joint], tree: UrdfTree) -> tuple[ReadingColumn, ...]:
     """The columns that move joints, each once."""
-    columns: dict[str, Column] = {}
+    columns: dict[str, ReadingColumn] = {}
     for joint in joints:
         mimics_one = len(joint.drive.factors) == 1 and tree.joints[joint.name].find("mimic") is not None
         for name in joint.drive.factors:
@@ -468,7 +468,7 @@ def _columns(joints: Sequence[Joint], tree: UrdfTree) -> tuple[Column, ...]:
     return tuple(columns.values())
 
 
-def _column(name: str, kind: Literal["revolute", "prismatic"], tree: UrdfTree) -> Column:
+def _column(name: str, kind: Literal["revolute", "prismatic"], tree: UrdfTree) -> ReadingColumn:
     """Readings of a joint, with its limits."""
     joint, path = tree.joints[name], tree.path
     lower, upper = -np.inf, np.inf
@@ -482,5 +482,5 @@ def _column(name: str, kind: Literal["revolute", "prismatic"], tree: UrdfTree) -
                 f"{path}: joint {name!r}: its lower limit {lower:g} is above its upper limit {upper:g}: exchange them"
             )
         # Some programs write 1e16, or the largest number that there is, for a joint without limits.
-        lower, upper = (lower if lower > -LARGEST else -np.inf), (upper if upper < LARGEST else np.inf)
-    return Column(name, "continuous" if continuous else kind, lower, upper)
+        lower, upper = (lower if lower > -LARGEST_IN_URDF else -np.inf), (upper if upper < LARGEST_IN_URDF else np.inf)
+    return ReadingColumn(name, "continuous" if continuous else kind, lower, upper)

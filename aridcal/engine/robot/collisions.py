@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import link_frame, locked_placement, tree_frames
-from aridcal.engine.robot.link_shapes import Shape, mesh_files, say_missing, shapes_of
+from aridcal.engine.robot.link_shapes import LinkShape, mesh_files, say_missing, shapes_of
 from aridcal.engine.robot.meshes import MeshMissing, NotDrawable, read_meshes
 from aridcal.engine.robot.tree import parse_xml
 from aridcal.system.errors import shortened
@@ -155,12 +155,12 @@ def _placements(robot: Robot, readings: np.ndarray) -> Iterator[tuple[pin.SE3, l
         yield base, [base * joint for joint in joints]
 
 
-def _shapes(robot: Robot) -> tuple[list[Shape], tuple[str, ...]]:
+def _shapes(robot: Robot) -> tuple[list[LinkShape], tuple[str, ...]]:
     """The collision shapes of a URDF, and what of them cannot be read; one that is wrong costs no other."""
     root = parse_xml(robot.urdf, robot.path)
     every = [(link.get("name", ""), element) for link in root.findall("link") for element in link.findall("collision")]
     meshes = read_meshes(mesh_files([element for _, element in every], robot))
-    shapes: list[Shape] = []
+    shapes: list[LinkShape] = []
     unread = []
     missing: list[MeshMissing] = []
     for link, element in every:
@@ -179,7 +179,7 @@ def _shapes(robot: Robot) -> tuple[list[Shape], tuple[str, ...]]:
     return shapes, tuple(unread)
 
 
-def _form(shape: Shape) -> coal.CollisionGeometry:
+def _form(shape: LinkShape) -> coal.CollisionGeometry:
     """A shape as coal has it."""
     if shape.kind == "mesh":
         points = coal.StdVec_Vec3s()

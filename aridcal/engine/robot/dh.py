@@ -15,13 +15,13 @@ import yaml
 
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.doty import align, doty_links, link_transform
-from aridcal.engine.robot.splice import rpy_near, without_rounding, written_origins
+from aridcal.engine.robot.splice import origin_texts, rpy_near, without_rounding
 
 # Axes nearer to parallel than this [rad] have a common normal that small errors move by metres.
 ILL_CONDITIONED_ANGLE = np.radians(1.0)
 
 # Below this angle [rad] the common normal would lose more digits to rounding than calling the axes parallel does.
-PARALLEL_ANGLE = float(np.sqrt(np.finfo(float).eps))
+PARALLEL_DH_ANGLE = float(np.sqrt(np.finfo(float).eps))
 
 # Parallel axes nearer than this [m] are one axis.
 COINCIDENT_LENGTH = 1e-9
@@ -194,7 +194,7 @@ def kinematics_yaml(nominal: Robot, calibrated: Robot) -> str:
     short = {name: match.group() if (match := re.search(r"joint\d+$", name)) else name for name in origins}
     if len(set(short.values())) < len(short):
         short = {name: name for name in origins}
-    written = written_origins(nominal.urdf, origins)
+    written = origin_texts(nominal.urdf, origins)
     entries = {short[name]: {"kinematic": _by_component(np.concatenate(vectors))} for name, vectors in written.items()}
     return why + yaml.safe_dump(entries, sort_keys=False)
 
@@ -259,7 +259,9 @@ def _onto_axis(frame: pin.SE3, axis: np.ndarray) -> pin.SE3:
     return pin.SE3(frame.rotation @ turn, (frame.translation @ axis) * axis)
 
 
-def _rows(robot: Robot, base: pin.SE3, parallel: float = PARALLEL_ANGLE) -> tuple[pin.SE3, tuple[DHRow, ...], pin.SE3]:
+def _rows(
+    robot: Robot, base: pin.SE3, parallel: float = PARALLEL_DH_ANGLE
+) -> tuple[pin.SE3, tuple[DHRow, ...], pin.SE3]:
     """Standard rows from a base frame whose z is the first joint's axis, and the tool behind the last one."""
     rows = []
     placement = robot.onward[0]

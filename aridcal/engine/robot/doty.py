@@ -26,7 +26,7 @@ PARALLEL_ANGLE = 1e-3
 NEARLY_DOWN = -0.999
 
 # The factors of a link, in order: kind of motion, and the axis (0, 1, 2 for x, y, z) it moves along or about.
-COMPONENTS = {
+DOTY_COMPONENTS = {
     "d": ("prismatic", 2),
     "theta": ("revolute", 2),
     "beta": ("revolute", 1),
@@ -70,7 +70,7 @@ class Link:
     def components(self) -> tuple[str, ...]:
         """The factors that can be corrected at this link, in the order of the product."""
         absent = ({"theta", "beta"} if self.singular else set()) | (set() if self.prismatic else {"d"})
-        return tuple(c for c in COMPONENTS if c not in absent)
+        return tuple(c for c in DOTY_COMPONENTS if c not in absent)
 
 
 def link_transform(
@@ -217,7 +217,7 @@ def _link(
 
 def motion(component: str, value: float) -> pin.SE3:
     """Evaluate one factor of a link: ``theta`` is Rz(value), ``a`` is Tx(value), and so on; [rad] or [m]."""
-    kind, axis = COMPONENTS[component]
+    kind, axis = DOTY_COMPONENTS[component]
     along = value * np.eye(3)[axis]
     return pin.SE3(np.eye(3), along) if kind == "prismatic" else pin.SE3(pin.exp3(along), np.zeros(3))
 
@@ -234,7 +234,7 @@ def segments(link: Link) -> tuple[tuple[tuple[str, pin.SE3], ...], pin.SE3]:
     """
     cuts = []
     placement = link.before
-    for component in COMPONENTS:
+    for component in DOTY_COMPONENTS:
         placement = placement * motion(component, 0.0 if component == "d" else getattr(link, component))
         if component in link.components:
             cuts.append((component, placement))

@@ -35,7 +35,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Stated:
+class StatedJoints:
     """What a campaign says of joints that have no column.
 
     Attributes:
@@ -87,7 +87,7 @@ class Stated:
                     raise RobotError(f"{key}.{shortened(master)}: a factor of 0 follows nothing. Delete this joint")
 
 
-NOTHING = Stated()
+NO_STATEMENTS = StatedJoints()
 """Every joint has a column, or a ``<mimic>``."""
 
 

@@ -34,7 +34,7 @@ SECONDS = 20
 MEMORY_GB = 1.0
 """Address space: xacro holds a document of 20 MB in 0.5 GB."""
 
-FILES = 64
+MOST_OPEN_FILES = 64
 """Open at a time: includes are nested a few deep."""
 
 NAMESPACE = "xacro"
@@ -221,7 +221,7 @@ def _within_limits(seconds: int) -> None:
         resource.RLIMIT_AS: most,
         resource.RLIMIT_CPU: seconds,
         resource.RLIMIT_FSIZE: 0,
-        resource.RLIMIT_NOFILE: FILES,
+        resource.RLIMIT_NOFILE: MOST_OPEN_FILES,
         resource.RLIMIT_NPROC: 0,
     }
     for which, value in limits.items():

@@ -228,7 +228,7 @@ def gravity_loads(robot: Robot, walked: Sequence[JointFrames], gravity: np.ndarr
         if k:
             mass[model.parents[k]] += mass[k]
             moment[model.parents[k]] += moment[k]
-    chain = of_chain(robot, walked)
+    chain = chain_part(robot, walked)
     wrenches = []
     for joint, step in zip(robot.joints, chain, strict=True):
         borne_mass, borne_moment = mass[step.joint], moment[step.joint]
@@ -252,13 +252,13 @@ def joint_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Axes are those before a revolute joint turns; origins are those after a prismatic joint's travel.
     """
-    chain = of_chain(robot, tuple(tree_frames(robot, readings)))
+    chain = chain_part(robot, tuple(tree_frames(robot, readings)))
     axes = np.stack([step.bearing for step in chain], axis=1)
     origins = np.stack([step.origin for step in chain], axis=1)
     return axes, origins
 
 
-def of_chain(robot: Robot, walked: Sequence[JointFrames]) -> list[JointFrames]:
+def chain_part(robot: Robot, walked: Sequence[JointFrames]) -> list[JointFrames]:
     """The chain's own joints, of the whole tree."""
     at = {step.joint: step for step in walked}
     return [at[robot.tree.getJointId(name)] for name in robot.names]
@@ -297,7 +297,7 @@ def start_frames(
     return R, p, linked
 
 
-def carried(robot: Robot, walked: Sequence[JointFrames], link: str) -> tuple[np.ndarray, np.ndarray]:
+def link_axes(robot: Robot, walked: Sequence[JointFrames], link: str) -> tuple[np.ndarray, np.ndarray]:
     """Axes (N, 3, 3) and origins (N, 3) of any link in the base frame, nominal, in a tree that was walked."""
     frame = link_frame(robot, link)
     return _on(next(step for step in walked if step.joint == frame.parentJoint), frame)

@@ -12,17 +12,17 @@ import pinocchio as pin
 from lxml import etree
 
 from aridcal.engine.robot.chain import Robot
-from aridcal.engine.robot.meshes import MeshMissing, NotDrawable, Part
+from aridcal.engine.robot.meshes import MeshMissing, MeshPart, NotDrawable
 from aridcal.engine.robot.packages import HINT, find_package, package_folders
 from aridcal.system.errors import shortened
-from aridcal.system.reading.user_names import why
+from aridcal.system.reading.user_names import reason_of
 
 # Of what has no colour.
 GREY = (0.72, 0.74, 0.77)
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class LinkShape:
     """A thing to draw, rigidly attached to a joint of the tree.
 
     Attributes:
@@ -76,12 +76,12 @@ class _Form:
     faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-Meshes = Mapping[Path, "list[Part] | NotDrawable"]
+Meshes = Mapping[Path, "list[MeshPart] | NotDrawable"]
 
 
 def shapes_of(
     visual: etree._Element, link: str, robot: Robot, paint: tuple[float, ...] | None, meshes: Meshes
-) -> Iterator[Shape]:
+) -> Iterator[LinkShape]:
     """Give the shapes of a `<visual>` or a `<collision>`: in a mesh file's own colour, else in its material's, else grey.
 
     Args:
@@ -102,7 +102,7 @@ def shapes_of(
     for form in forms:
         red, green, blue = form.colour or paint or GREY
         colour = (red, green, blue)
-        yield Shape(frame.parentJoint, placement, form.kind, form.size, colour, form.vertices, form.faces)
+        yield LinkShape(frame.parentJoint, placement, form.kind, form.size, colour, form.vertices, form.faces)
 
 
 def _forms(visual: etree._Element, robot: Robot, meshes: Meshes) -> Iterator[_Form]:
@@ -167,7 +167,7 @@ def find_mesh(uri: str, robot: Robot) -> Path:
             if path.is_file():
                 return path
     except (OSError, ValueError) as error:  # a name that no file can have
-        raise NotDrawable(f"no mesh {shortened(uri)!r}: {why(error)}") from None
+        raise NotDrawable(f"no mesh {shortened(uri)!r}: {reason_of(error)}") from None
     lost = scheme == "package" and find_package(package, folder, robot.packages) is None
     raise MeshMissing(uri, package if lost else "")
 

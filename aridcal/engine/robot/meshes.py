@@ -35,13 +35,13 @@ FILE_MB, ROBOT_MB = 50, 250
 FILE_SECONDS, ROBOT_SECONDS = 30, 90
 
 # [GB] of address space for the reader: COLLADA of 50 MB takes 1.1, of which the libraries themselves 0.35.
-MEMORY_GB = 1.5
+MESH_MEMORY_GB = 1.5
 
 # Triangles kept of one file: as many as are drawn of a whole robot.
 TRIANGLES = 120_000
 
 # Colours kept of one file: more than one sees.
-COLOURS = 64
+MOST_COLOURS = 64
 
 # Cells of a thinned mesh's grid along its long side: at first, by which factor fewer each round, and at least.
 FINEST, COARSER, COARSEST = 1000.0, 0.7, 16
@@ -52,7 +52,7 @@ READY = b"ready\n"
 PR_SET_PDEATHSIG = 1
 
 Colour = tuple[float, ...] | None
-Part = tuple[Colour, np.ndarray, np.ndarray]
+MeshPart = tuple[Colour, np.ndarray, np.ndarray]
 """Red, green and blue from 0 to 1 (None: the file has no colour), vertices (V, 3) and faces (F, 3)."""
 
 
@@ -73,13 +73,13 @@ class MeshMissing(NotDrawable):
         self.uri, self.package = uri, package
 
 
-def read_meshes(paths: Sequence[Path]) -> dict[Path, list[Part] | NotDrawable]:
+def read_meshes(paths: Sequence[Path]) -> dict[Path, list[MeshPart] | NotDrawable]:
     """Read mesh files. Of the files that these name only an OBJ's colours and a glTF's numbers are looked at, never a texture.
 
     Returns:
         By path, the parts of each file, one for each colour, or why there are none.
     """
-    answers: dict[Path, list[Part] | NotDrawable] = {}
+    answers: dict[Path, list[MeshPart] | NotDrawable] = {}
     waiting = []
     room = ROBOT_MB * 1e6
     for path in dict.fromkeys(paths):
@@ -110,7 +110,7 @@ def _refusal(path: Path, room: float) -> NotDrawable | None:
     return None
 
 
-def _ask(paths: Sequence[Path], end: float) -> Iterator[list[Part] | NotDrawable]:
+def _ask(paths: Sequence[Path], end: float) -> Iterator[list[MeshPart] | NotDrawable]:
     """Give a reader's answers, until it has no more to read, or dies, or it is too late."""
     environment = {
         **os.environ,
@@ -119,7 +119,7 @@ def _ask(paths: Sequence[Path], end: float) -> Iterator[list[Part] | NotDrawable
         "OMP_NUM_THREADS": "1",
     }
     # -P: no module from the folder where the user happens to be
-    command = [sys.executable, "-P", "-m", __name__, str(FILE_SECONDS), str(MEMORY_GB)]
+    command = [sys.executable, "-P", "-m", __name__, str(FILE_SECONDS), str(MESH_MEMORY_GB)]
     try:
         reader = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
@@ -149,7 +149,7 @@ def _ask(paths: Sequence[Path], end: float) -> Iterator[list[Part] | NotDrawable
             reader.kill()
 
 
-def _answer(stream: IO[bytes]) -> list[Part] | NotDrawable | None:
+def _answer(stream: IO[bytes]) -> list[MeshPart] | NotDrawable | None:
     """Read what the reader says of one file; None if it died of it."""
     head = stream.readline()
     if not head.endswith(b"\n"):
@@ -207,7 +207,7 @@ def weld(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray
         cells *= COARSER
 
 
-def load_mesh(path: Path) -> list[Part]:
+def load_mesh(path: Path) -> list[MeshPart]:
     """Read one mesh file with trimesh, here and now.
 
     Raises:
@@ -228,8 +228,8 @@ def load_mesh(path: Path) -> list[Part]:
             groups.setdefault(_mesh_colour(mesh, path), []).append(mesh)
     if not groups:
         raise NotDrawable(f"mesh {path.name!r} has no faces")
-    if len(groups) > COLOURS:
-        raise NotDrawable(f"mesh {path.name!r} has more than {COLOURS} colours: draw a simpler one")
+    if len(groups) > MOST_COLOURS:
+        raise NotDrawable(f"mesh {path.name!r} has more than {MOST_COLOURS} colours: draw a simpler one")
     return [(colour, *_joined(group)) for colour, group in groups.items()]
 
 

@@ -16,16 +16,16 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from aridcal.engine.robot.chain import Robot, same_chain
+from aridcal.engine.robot.chain import Robot, chain_in_urdf
 from aridcal.engine.robot.drive import Drive
 from aridcal.engine.robot.kinematics import rotations
 from aridcal.engine.robot.tree import UrdfTree, parse_xml, read_tree
 from aridcal.system.errors import AridcalError, printable, shortened
 
-CONFIGURATIONS = 3
+COMPARED_CONFIGURATIONS = 3
 """Random ones in which all links are compared: an origin that is wrong is wrong in each."""
 
-TOLERANCE = 1e-9
+READ_BACK_TOLERANCE = 1e-9
 """[m] and [1] that links may differ by, in units of the largest distance where that is beyond a metre: products of matrices round
 by a thousandth of that."""
 
@@ -82,7 +82,7 @@ def read_back(urdf: bytes, robot: Robot, origins: Mapping[str, pin.SE3], file: s
     tree = read_tree(robot.urdf, robot.path)
     positions = _positions(tree, np.random.default_rng(0))
     intended = link_places(tree, positions, origins)
-    fault = _fault(intended, lambda: _by_pinocchio(same_chain(robot, urdf).tree, positions, tree))
+    fault = _fault(intended, lambda: _by_pinocchio(chain_in_urdf(robot, urdf).tree, positions, tree))
     if fault is not None:
         raise ReadBackError(file, "Pinocchio", fault)
 
@@ -120,7 +120,7 @@ def link_places(
     Returns:
         See :data:`Places`.
     """
-    count = len(next(iter(positions.values()), np.zeros(CONFIGURATIONS)))
+    count = len(next(iter(positions.values()), np.zeros(COMPARED_CONFIGURATIONS)))
     places: dict[str, np.ndarray] = {}
     for link in tree.links:
         above = [link]
@@ -148,13 +148,13 @@ def _motion(tree: UrdfTree, joint: str, positions: Mapping[str, np.ndarray], cou
 
 def _positions(tree: UrdfTree, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Random positions of all moving joints, shape (K,), [rad] or [m]; mimics follow their masters."""
-    free = {name: rng.uniform(-1.0, 1.0, CONFIGURATIONS) for name in tree.moves}
+    free = {name: rng.uniform(-1.0, 1.0, COMPARED_CONFIGURATIONS) for name in tree.moves}
     positions = {}
     for name in tree.moves:
         drive = tree.mimics.get(name, Drive({name: 1.0}))
-        position = np.full(CONFIGURATIONS, drive.offset)
+        position = np.full(COMPARED_CONFIGURATIONS, drive.offset)
         for master, factor in drive.factors.items():
-            position += factor * free.get(master, np.zeros(CONFIGURATIONS))
+            position += factor * free.get(master, np.zeros(COMPARED_CONFIGURATIONS))
         positions[name] = position
     return positions
 
@@ -165,7 +165,7 @@ def _by_pinocchio(model: pin.Model, positions: Mapping[str, np.ndarray], tree: U
     frames = {link: model.getFrameId(link, pin.FrameType.BODY) for link in tree.links}
     root = frames[next(link for link in tree.links if link not in tree.parent_of)]
     places: dict[str, list[np.ndarray]] = {link: [] for link in frames}
-    for k in range(CONFIGURATIONS):
+    for k in range(COMPARED_CONFIGURATIONS):
         q = pin.neutral(model)
         for name, position in positions.items():
             joint = model.getJointId(name)
@@ -188,7 +188,7 @@ def _by_yourdfpy(urdf: bytes, positions: Mapping[str, np.ndarray]) -> Places:
             link.visuals.clear()  # they were read; making them would take most of the time
         robot = URDF(parsed, build_scene_graph=True, load_meshes=False)
         all_places: dict[str, list[np.ndarray]] = {link: [] for link in robot.link_map}
-        for k in range(CONFIGURATIONS):
+        for k in range(COMPARED_CONFIGURATIONS):
             robot.update_cfg({name: positions[name][k] for name in robot.actuated_joint_names if name in positions})
             for link, places in all_places.items():
                 places.append(robot.get_transform(link, robot.base_link))
@@ -206,7 +206,7 @@ def _fault(intended: Places, reader: Callable[[], Places]) -> Fault | None:
         return Fault(f"has no link {shortened(missing[0])!r}", missing[0])
     off = {link: float(np.max(np.abs(places[link] - T) / _size(T))) for link, T in intended.items()}
     worst = max(off, key=lambda link: off[link] if off[link] == off[link] else np.inf)
-    if off[worst] <= TOLERANCE:
+    if off[worst] <= READ_BACK_TOLERANCE:
         return None
     return Fault(f"has link {shortened(worst)!r} elsewhere, by {off[worst]:.2g} m or rad", worst)
 

@@ -13,9 +13,9 @@ import pinocchio as pin
 from aridcal.system.errors import RobotError, nearest
 
 # Numbers of an origin that differ by less are the same, [m] or [rad]: some products of matrices round by that much.
-ROUNDING = 1e-14
+ROTATION_ROUNDING = 1e-14
 # A cosine of the pitch below this is rounding alone: roll and yaw turn about one axis, and only their sum is known.
-LEAST_COSINE = 1e-13
+LEAST_PITCH_COSINE = 1e-13
 
 _ATTRIBUTE = re.compile(r"""\s+(?P<key>[^\s=]+)\s*=\s*(?P<quoted>"[^"]*"|'[^']*')""", re.ASCII)
 _LINE_START = re.compile(r"(\r\n|\n|\r)[ \t]*\Z")
@@ -56,7 +56,7 @@ def splice_origins(urdf: bytes, origins: Mapping[str, tuple[np.ndarray, np.ndarr
     return result
 
 
-def written_origins(urdf: bytes, placements: Mapping[str, pin.SE3]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def origin_texts(urdf: bytes, placements: Mapping[str, pin.SE3]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Write placements as a URDF's author did: angles near those in the file, and nothing changed by rounding alone.
 
     Args:
@@ -92,7 +92,7 @@ def rpy_near(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
         near: Roll, pitch and yaw, shape (3,), [rad].
     """
     R = rotation
-    if np.hypot(R[2, 1], R[2, 2]) > LEAST_COSINE:
+    if np.hypot(R[2, 1], R[2, 2]) > LEAST_PITCH_COSINE:
         rolls = [np.arctan2(R[2, 1], R[2, 2])]
         rolls.append(rolls[0] + np.pi)
     else:  # share what is left of the turn between roll and yaw alike
@@ -117,8 +117,8 @@ def _yaw(R: np.ndarray, roll: float) -> float:
 
 def without_rounding(values: np.ndarray, nominal: np.ndarray) -> np.ndarray:
     """Nominal numbers, or zero, in place of those that differ from them by rounding alone."""
-    values = np.where(np.abs(values) < ROUNDING, 0.0, values)
-    return np.where(np.abs(values - nominal) < ROUNDING, nominal, values)
+    values = np.where(np.abs(values) < ROTATION_ROUNDING, 0.0, values)
+    return np.where(np.abs(values - nominal) < ROTATION_ROUNDING, nominal, values)
 
 
 def _vector(text: str) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from aridcal.engine.robot.drive import NOTHING, Drive, Loop, Stated, resolved
+from aridcal.engine.robot.drive import NO_STATEMENTS, Drive, Loop, StatedJoints, resolved
 from aridcal.system.errors import RobotError, nearest, shortened
 from aridcal.system.reading.user_names import check_name
 
@@ -30,7 +30,7 @@ MAX_MOVING = 150
 MAX_LINKS = 10_000
 """Pinocchio compares the name of each link with all others: 0.7 s of 10,000."""
 
-LARGEST = 1e9
+LARGEST_IN_URDF = 1e9
 """No length, angle, mass or inertia is larger; its square and products still are numbers."""
 
 
@@ -68,7 +68,7 @@ class UrdfTree:
     mimics: Mapping[str, Drive]
 
 
-def read_tree(urdf: bytes, path: Path, stated: Stated = NOTHING) -> UrdfTree:
+def read_tree(urdf: bytes, path: Path, stated: StatedJoints = NO_STATEMENTS) -> UrdfTree:
     """Read and check the tree of a URDF.
 
     Args:
@@ -130,7 +130,7 @@ def parse_xml(urdf: bytes, path: Path) -> etree._Element:
 
 
 def numbers(
-    element: etree._Element, key: str, default: str, count: int, path: Path, most: float = LARGEST
+    element: etree._Element, key: str, default: str, count: int, path: Path, most: float = LARGEST_IN_URDF
 ) -> np.ndarray:
     """Numbers of an attribute, shape (count,).
 
@@ -283,7 +283,7 @@ def _mimics(joints: Mapping[str, etree._Element], path: Path) -> dict[str, Drive
     return direct
 
 
-def _followed(direct: Mapping[str, Drive], stated: Stated, path: Path) -> dict[str, Drive]:
+def _followed(direct: Mapping[str, Drive], stated: StatedJoints, path: Path) -> dict[str, Drive]:
     """The drives of all joints without a column, with the factors and offsets on the way composed.
 
     Raises:
@@ -297,6 +297,8 @@ def _followed(direct: Mapping[str, Drive], stated: Stated, path: Path) -> dict[s
             f"{path}: joint {loop.first!r} mimics itself, by way of {loop.by!r}: delete one {where}"
         ) from None
     for name, drive in drives.items():
-        if not all(abs(number) <= LARGEST for number in (*drive.factors.values(), drive.offset)):
-            raise RobotError(f"{path}: joint {name!r}: what it mimics multiplies beyond {LARGEST:g}: check {where}")
+        if not all(abs(number) <= LARGEST_IN_URDF for number in (*drive.factors.values(), drive.offset)):
+            raise RobotError(
+                f"{path}: joint {name!r}: what it mimics multiplies beyond {LARGEST_IN_URDF:g}: check {where}"
+            )
     return drives

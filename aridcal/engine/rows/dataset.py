@@ -17,7 +17,15 @@ from aridcal.engine.instruments.pose import kind_of_places, pose_numbers
 from aridcal.engine.instruments.setup import Block, Instruments
 from aridcal.engine.robot.chain import JointKind
 from aridcal.engine.rows.repeats import blocks, by_appearance, first_alike
-from aridcal.engine.rows.row_facts import Labels, Origin, Repeats, labels_together, origins_together, selected, untold
+from aridcal.engine.rows.row_facts import (
+    Labels,
+    Origin,
+    Repeats,
+    labels_together,
+    no_labels,
+    origins_together,
+    selected,
+)
 
 
 @dataclass(frozen=True)
@@ -190,7 +198,7 @@ class Dataset:
         return np.array([sigma or estimated for sigma, estimated in zip(self.sigma, estimate, strict=True)])
 
 
-def together(parts: Sequence[Dataset]) -> Dataset:
+def joined_datasets(parts: Sequence[Dataset]) -> Dataset:
     """Several blocks of rows of the same joints as one data set, one after the other; without weights.
 
     Rows repeat a configuration only if they also are of one block, and refer to the same things and the same target.
@@ -306,7 +314,7 @@ def dataset(
         relative=None,
         covariates=dict(covariates or {}),
         test=nothing if test is None else test,
-        labels=replace(untold(n), station=station),
+        labels=replace(no_labels(n), station=station),
         repeats=Repeats(configuration=blocks(readings, kinds), stale=nothing, doubtful=nothing),
         origin=Origin(
             file=np.zeros(n, dtype=int),
@@ -327,7 +335,7 @@ def _tracked(rotation: np.ndarray | None, sigma: Sequence[float | None]) -> Bloc
 
 def with_places(data: Dataset, position: np.ndarray, rotation: np.ndarray | None = None) -> Dataset:
     """The rows with other places of the target, (N, 3) and (N, 3, 3), as of a tracker without faults."""
-    nothing = untold(len(data))
+    nothing = no_labels(len(data))
     return replace(
         data,
         blocks=(_tracked(rotation, data.sigma),),
@@ -372,14 +380,14 @@ def weighed_apart(data: Dataset, noises: Sequence[RowNoise]) -> Dataset:
     relative = np.ones((len(data), ends[-1]))
     for number, noise in enumerate(noises):
         rows = data.labels.block == number
-        part = weighed(of_block(data, number, rows), noise)
+        part = weighed(block_data(data, number, rows), noise)
         sigma += list(part.sigma)
         if part.relative is not None:
             relative[rows, ends[number] : ends[number + 1]] = part.relative
     return with_sigma(replace(data, relative=relative), sigma)
 
 
-def of_block(data: Dataset, number: int, rows: np.ndarray) -> Dataset:
+def block_data(data: Dataset, number: int, rows: np.ndarray) -> Dataset:
     """The data of some rows of one block, a mask or numbers, with its channels alone and without the rows' own noise."""
     part = data.select(rows)
     block = replace(part.labels, block=np.zeros(len(part), dtype=int))

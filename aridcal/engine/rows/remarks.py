@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aridcal.system.errors import SHOWN, printable
+from aridcal.system.errors import SHOWN_LENGTH, printable
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,6 @@ class Remark:
     def __str__(self) -> str:
         where = self.file if self.row is None else f"{self.file}, line {self.row}"
         cell = ", ".join(
-            filter(None, [f"column {self.column!r}" if self.column else "", printable(self.value[:SHOWN])])
+            filter(None, [f"column {self.column!r}" if self.column else "", printable(self.value[:SHOWN_LENGTH])])
         )
         return f"{where}: {cell}: {self.why}" if cell else f"{where}: {self.why}"

@@ -27,7 +27,7 @@ MOST_JOINED_IN_GAP = 0.02
 WIDEST_PLACE = 1 / 3
 """Widest place, as a share of the usual difference of two rows: the gap's lower end may be no further up."""
 
-LEAST_MOTION = 30.0
+LEAST_JOINT_MOTION = 30.0
 """Of what repeats a configuration: a joint moves if half of all rows differ by more, 30 mrad or 3 mm; less is scatter."""
 
 LEAST_ACCOMPANIED = 0.3
@@ -82,7 +82,7 @@ def _usual(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
     rng = np.random.default_rng(0)
     some = [values[rng.permutation(len(values))[:MOST_COMPARED]] for values in _coordinates(readings, kinds)]
     usual = [np.median(np.abs(values - np.roll(values, 1))) for values in some]
-    return np.maximum(usual, LEAST_MOTION * _tolerances_of_coordinates(kinds))
+    return np.maximum(usual, LEAST_JOINT_MOTION * _tolerances_of_coordinates(kinds))
 
 
 def _gap(readings: np.ndarray, kinds: Sequence[JointKind], units: np.ndarray) -> float | None:
@@ -195,7 +195,7 @@ def by_appearance(labels: np.ndarray) -> np.ndarray:
     return np.asarray(number[first[labels]])
 
 
-def seen_before(labels: np.ndarray) -> np.ndarray:
+def earlier_occurrences(labels: np.ndarray) -> np.ndarray:
     """How many rows before each have its label, shape (N,)."""
     order = np.argsort(labels, kind="stable")
     place = np.arange(len(order))

@@ -84,7 +84,7 @@ class Repeats:
     share: float = 1.0
 
 
-def untold(rows: int) -> Labels:
+def no_labels(rows: int) -> Labels:
     """Labels of rows of one block that refer to nothing; held in memory once, for those of a million rows would count."""
     return Labels(np.broadcast_to(0, rows), np.broadcast_to("", (rows, ROLES)))
 

@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.remarks import Remark
 from aridcal.engine.rows.repeats import blocks, places
-from aridcal.system.errors import MeasurementError, listed
+from aridcal.system.errors import MeasurementError, name_list
 
 TEST_SHARE = 0.2
 """Share of the rows that is held out: a fifth, as is usual; errors of 60 rows are known to 6 %."""
@@ -20,7 +20,7 @@ FEW_ROWS = 12
 """Rows of a thing below which one of them is not held out without the others: of twelve, one knows the others to 4 %."""
 
 
-def held_together(data: Dataset) -> np.ndarray:
+def held_back_groups(data: Dataset) -> np.ndarray:
     """Numbers of the groups of rows that are held back together, shape (N,): those of a place, or all of a thing that has few.
 
     A row of a thing that has few rows, held back alone, would say nothing new: the thing's other rows know it.
@@ -88,7 +88,7 @@ def with_training_rows(data: Dataset, per_station: bool, drawn: np.ndarray) -> D
         if needed.any():
             test &= ~needed
             to_what = "for its frame" if name == "station" else "to find it"
-            which = listed(sorted(set(labels[needed].tolist())))
+            which = name_list(sorted(set(labels[needed].tolist())))
             why = f"all rows of {name} {which} are needed {to_what}: none of them is held out"
             notes.append(Remark(data.origin.files[0].name, None, name, "", why))
     return replace(data, test=test).with_origin(notices=(*notes, *data.origin.notices))

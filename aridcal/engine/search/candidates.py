@@ -21,31 +21,31 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.search.state import State
 from aridcal.system.progress import SILENT, Progress
 
-SCANNED = 800
+SCANNED_ORDERS = 800
 """Orders of a joint's error that are looked through, a quarter period over its range apart: gears of up to 200 teeth over
 a whole turn, and no peak falls between two of them."""
 
-TABLE = 32
-"""Work: Waves of which the others are made: about the square root of :data:`SCANNED`, which costs least."""
+TABLE_WAVES = 32
+"""Work: Waves of which the others are made: about the square root of :data:`SCANNED_ORDERS`, which costs least."""
 
-LOUD = 30.0
+LOUD_HARMONIC = 30.0
 """Work: Chi-square of a harmonic that is worth a closer look: chance makes one in three million, and thousands are looked
 through."""
 
 PEAKS = 2
 """Work: Harmonics of each joint that are tested."""
 
-FINE = 81
+FINE_ORDERS = 81
 """Work: Orders around a peak among which it is found again, forty times as close."""
 
-WHOLE = 0.05
+WHOLE_NUMBER_TOLERANCE = 0.05
 """An order this near to a whole number is one: shafts turn a whole number of times."""
 
 WINDOWS = (0.12, 0.24, 0.48)
 """Widths [rad] of the windows of a narrow bump: a Gaussian is loudest in 2.8 of its own sigmas, so 0.04 to 0.2 rad. What is
 wider, the curves of 72 knots over a turn can follow."""
 
-LOOKS = 4
+PLACES_PER_WIDTH = 4
 """Work: Places of a window within its own width that are different from one another."""
 
 LOUD_WINDOW = 20.0
@@ -69,14 +69,14 @@ LOUD_DENT = 25.0
 """Work: Chi-square of three degrees at which a ball is worth a closer look: chance makes it once in 60,000, and five hundred
 are looked through."""
 
-DEGREE = 4
+PAIR_DEGREE = 4
 """Work: Of the polynomials in two covariates with which pairs are looked through: bends and waves of two periods."""
 
 LOUDEST = 12
 """Work: Pairs that are tested: each has some fifty columns, and what explains less is seldom the cause."""
 
 
-def hinted(state: State, kinds: Collection[str]) -> list[Effect]:
+def hinted_candidates(state: State, kinds: Collection[str]) -> list[Effect]:
     """Candidates of some kinds that are tried only where the residual hints at them."""
     sources = {"joint_harmonic": harmonics, "joint_map": narrow_maps, "residual_field": dents}
     return [effect for kind, source in sources.items() if kind in kinds for effect in source(state)]
@@ -94,7 +94,7 @@ def harmonics(state: State) -> list[Effect]:
     """
     harmonics_of_joints = []
     joints = state.model.joints
-    count = SCANNED * len(joints)
+    count = SCANNED_ORDERS * len(joints)
     for name in joints:
         q, pull, weight = _turns_of_joint(state, name, state.residual, state.used)
         orders = _loud_orders(q, pull, float(weight.sum())) if np.ptp(q) >= STILL and weight.any() else []
@@ -117,7 +117,7 @@ def narrow_maps(state: State) -> list[Effect]:
     clipped = _clipped(state)
     every = np.ones(len(clipped), dtype=bool)
     places = {name: _turns_of_joint(state, name, clipped, every) for name in state.model.joints}
-    count = sum(int(LOOKS * np.ptp(q) / width) for q, _, _ in places.values() for width in WINDOWS)
+    count = sum(int(PLACES_PER_WIDTH * np.ptp(q) / width) for q, _, _ in places.values() for width in WINDOWS)
     maps = []
     for name, (q, pull, weight) in places.items():
         chi_square, centre, width = _loudest_window(q, pull, weight)
@@ -209,22 +209,22 @@ def _loudest_window(q: np.ndarray, pull: np.ndarray, weight: np.ndarray) -> tupl
 def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:
     """Orders at which the periodogram of the rows' pulls has its highest peaks, the highest first."""
     step = np.pi / (2 * np.ptp(q))
-    orders = np.arange(1, SCANNED + 1) * step
+    orders = np.arange(1, SCANNED_ORDERS + 1) * step
     # The wave of order a + b is the product of those of a and b: a table of a few dozen waves makes all, and its waves
     # are powers of the first. Products cost a fifth of sines and cosines.
-    fine = np.cumprod(np.tile(np.exp(1j * step * q), (TABLE, 1)), axis=0)
-    coarse = np.ones((len(range(0, SCANNED, TABLE)), len(q)), dtype=complex)
+    fine = np.cumprod(np.tile(np.exp(1j * step * q), (TABLE_WAVES, 1)), axis=0)
+    coarse = np.ones((len(range(0, SCANNED_ORDERS, TABLE_WAVES)), len(q)), dtype=complex)
     np.cumprod(np.tile(fine[-1], (len(coarse) - 1, 1)), axis=0, out=coarse[1:])
-    power = 2.0 * np.abs((coarse * pull) @ fine.T).ravel()[:SCANNED] ** 2 / weight
-    peaks = np.flatnonzero((power > np.roll(power, 1)) & (power > np.roll(power, -1)) & (power > LOUD))
+    power = 2.0 * np.abs((coarse * pull) @ fine.T).ravel()[:SCANNED_ORDERS] ** 2 / weight
+    peaks = np.flatnonzero((power > np.roll(power, 1)) & (power > np.roll(power, -1)) & (power > LOUD_HARMONIC))
     loud = []
     for peak in peaks[np.argsort(-power[peaks])][:PEAKS]:
-        close = orders[peak] + np.linspace(-1, 1, FINE) * step
-        waves = np.empty((FINE, len(q)), dtype=complex)
+        close = orders[peak] + np.linspace(-1, 1, FINE_ORDERS) * step
+        waves = np.empty((FINE_ORDERS, len(q)), dtype=complex)
         waves[0], waves[1:] = np.exp(1j * close[0] * q), np.exp(1j * (close[1] - close[0]) * q)
         order = float(close[np.argmax(np.abs(np.cumprod(waves, axis=0) @ pull))])
         whole = round(order)
-        loud.append(float(whole) if abs(order - whole) < WHOLE else round(order, 3))
+        loud.append(float(whole) if abs(order - whole) < WHOLE_NUMBER_TOLERANCE else round(order, 3))
     return loud
 
 
@@ -245,7 +245,9 @@ def pairs(
     pull = np.ascontiguousarray(pull.T)  # slot by slot, as slots are picked from it
     frames = [(s, slot) for s, slot in enumerate(model.slots) if slot[1] in FRAME_COMPONENTS]
     places = []
-    waves = {of: np.polynomial.legendre.legvander(_scaled_to_one(model.table[of][in_use]), DEGREE) for of in covariates}
+    waves = {
+        of: np.polynomial.legendre.legvander(_scaled_to_one(model.table[of][in_use]), PAIR_DEGREE) for of in covariates
+    }
     every = [of for of in combinations(covariates, 2) if robot.on_one_limb(*of)]
     for a, b in progress.over(every, "pairs"):
         products = (waves[a][:, :, None] * waves[b][:, None]).reshape(pull.shape[1], -1)

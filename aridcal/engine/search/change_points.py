@@ -20,28 +20,28 @@ from functools import partial
 import numpy as np
 from scipy.special import gammaincc
 
-from aridcal.engine.corrections.condition_kinds import SIDE
+from aridcal.engine.corrections.condition_kinds import FEWEST_ROWS_OF_A_SIDE
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.instruments.channels import by_row, spread
 from aridcal.engine.search.evidence import explained, solve
-from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.state import State, with_candidate
 
-COARSE = 200
+COARSE_STEPS = 200
 """Work: Steps that are looked at in the first round; between the best and its neighbours all are looked at."""
 
-NODES = 33
+STEP_NODES = 33
 """Work: Of those, where what the model takes up of a step is worked out; between them it hardly differs from a line's, and what
 it differs by only decides which steps are looked at closely. Each costs as much as the square of all that is in the model."""
 
-CLOSELY = 12
+CLOSE_STEPS = 12
 """Work: Steps that are looked at closely, those that seem best: between nodes what the model takes up is out by a tenth at the
 most, near the ends."""
 
-LENGTHS = (2.0, 5.0, 12.0, 30.0, np.inf)
+WANDER_LENGTHS = (2.0, 5.0, 12.0, 30.0, np.inf)
 """Work: Rows over which noise may stay alike: two and a half times apart, from one row to the next to a walk without end."""
 
-WANDERS = (1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+WANDER_VARIANCES = (1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 """Work: Variances of such noise that are tried, in units of a row's own: two in a decade, from nothing to all that there is."""
 
 
@@ -55,7 +55,7 @@ def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         Number of rows before each step, shape (k,), and the covariate there, shape (k,).
     """
     ordered = np.sort(values)
-    before = np.arange(SIDE, len(ordered) - SIDE + 1)
+    before = np.arange(FEWEST_ROWS_OF_A_SIDE, len(ordered) - FEWEST_ROWS_OF_A_SIDE + 1)
     before = before[ordered[before - 1] < ordered[before]] if len(before) else before
     return before, 0.5 * (ordered[before - 1] + ordered[before])
 
@@ -85,7 +85,7 @@ def _on_both_sides(members: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Whether enough members among the ordered rows, (n, ...) bool, are on either side of each step, shape (k, ...)."""
     passed = np.cumsum(members, axis=0)
     there = passed[before - 1]
-    return np.asarray((there >= SIDE) & (passed[-1] - there >= SIDE))
+    return np.asarray((there >= FEWEST_ROWS_OF_A_SIDE) & (passed[-1] - there >= FEWEST_ROWS_OF_A_SIDE))
 
 
 def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
@@ -121,10 +121,10 @@ def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -
 
 
 # Slots that move together, and the rows before each of the steps that they may have, ascending.
-Group = tuple[Sequence[int], np.ndarray]
+SlotGroup = tuple[Sequence[int], np.ndarray]
 
 
-def _best_one_by_one(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
+def _best_one_by_one(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[SlotGroup]) -> list[int]:
     """Index of the best step of each group, tried one by one, as unknown things take up a part of each.
 
     ``values`` of the covariate are of the rows in use, shape (n,).
@@ -169,7 +169,7 @@ class _Scan:
     row: np.ndarray
 
     @classmethod
-    def of(cls, state: State, of: str, groups: Sequence[Group]) -> _Scan:
+    def of(cls, state: State, of: str, groups: Sequence[SlotGroup]) -> _Scan:
         """The sums for some groups of slots, rows in the order of the covariate ``of``."""
         model = state.model
         moving = list(dict.fromkeys(slot for slots, _ in groups for slot in slots))
@@ -183,9 +183,9 @@ class _Scan:
         squares, pulls = (np.insert(upto, 0, 0.0, axis=0) for upto in sums)
         return cls(state, {slot: k for k, slot in enumerate(moving)}, g / sigma, squares, pulls, members, row)
 
-    def best(self, groups: Sequence[Group]) -> list[int]:
+    def best(self, groups: Sequence[SlotGroup]) -> list[int]:
         """Index of the step of each group that explains most."""
-        every = np.unique(np.concatenate([_evenly(before, COARSE) for _, before in groups]))
+        every = np.unique(np.concatenate([_evenly(before, COARSE_STEPS) for _, before in groups]))
         nodes = self._nodes(every)
 
         def best_of(slots: Sequence[int], before: np.ndarray) -> int:
@@ -193,7 +193,7 @@ class _Scan:
 
             def promising(rough: np.ndarray) -> np.ndarray:
                 seems = self._explained(columns, rough, nodes.between(rough, columns))
-                return np.sort(np.argsort(-seems, kind="stable")[:CLOSELY])
+                return np.sort(np.argsort(-seems, kind="stable")[:CLOSE_STEPS])
 
             def exactly(rows: np.ndarray) -> np.ndarray:
                 return self._explained(columns, rows, self._taken(self._shared(columns, rows, nodes)))
@@ -203,8 +203,8 @@ class _Scan:
         return [best_of(*group) for group in groups]
 
     def _nodes(self, every: np.ndarray) -> _Nodes:
-        """At the most :data:`NODES` of some steps, evenly, from the first to the last."""
-        before = _evenly(every, NODES)
+        """At the most :data:`STEP_NODES` of some steps, evenly, from the first to the last."""
+        before = _evenly(every, STEP_NODES)
         shared = self._shared(range(len(self.slots)), before)
         return _Nodes(before, shared, self._taken(shared))
 
@@ -277,14 +277,14 @@ def _best(
     squares: Callable[[np.ndarray], np.ndarray],
     promising: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> int:
-    """Index of the step that explains most: of :data:`COARSE` of them first, then of all between the neighbours of the best.
+    """Index of the step that explains most: of :data:`COARSE_STEPS` of them first, then of all between the best one's neighbours.
 
     Args:
         before: Rows before each step, ascending, shape (k,).
         squares: Gives the squares that some of the steps explain.
         promising: Chooses which of the first steps are computed, ascending; None: all.
     """
-    rough = _evenly(before, COARSE)
+    rough = _evenly(before, COARSE_STEPS)
     some = np.arange(len(rough)) if promising is None else promising(rough)
     top = int(some[np.argmax(squares(rough[some]))])
     ends = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
@@ -292,7 +292,7 @@ def _best(
     return int(low + np.argmax(squares(before[low : high + 1])))
 
 
-def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
+def walk_instead(model: LinearModel, state: State, candidate: ActiveEffect) -> float:
     r"""Chance that a step as clear as this one comes from noise that stays alike for some rows, or walks.
 
     The motion that explains each row's residual by itself, with the step in the model, is a series y. It is explained twice,
@@ -340,7 +340,7 @@ def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float
     """
     n = len(series)
     white = float(np.median(variance))
-    length, wander = (grid.ravel() for grid in np.meshgrid(LENGTHS, WANDERS))
+    length, wander = (grid.ravel() for grid in np.meshgrid(WANDER_LENGTHS, WANDER_VARIANCES))
     fade = np.exp(-1.0 / length)
     endless = np.isinf(length)
     long_run = white * wander

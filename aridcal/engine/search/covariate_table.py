@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from aridcal.engine.corrections.catalogue import Barred, barred_joints, usable_columns
+from aridcal.engine.corrections.catalogue import UntestableEffect, barred_joints, usable_columns
 from aridcal.engine.corrections.effect import ROW_ORDER
-from aridcal.engine.corrections.effect_kind import Observed
-from aridcal.engine.corrections.labels import MOST_LABELS, STATION, label_column, label_columns, labels_in
+from aridcal.engine.corrections.effect_kind import ObservedRows
+from aridcal.engine.corrections.labels import LABEL_COLUMN, MOST_LABELS, label_column, label_columns, labels_in
 from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.placements import references
@@ -15,7 +15,7 @@ from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 
 
-def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
+def covariates_and_exclusions(model: Model, rows: Dataset) -> tuple[ObservedRows, list[UntestableEffect]]:
     """Covariates of rows for candidate effects, and the effects that cannot be tested; the model knows its surroundings."""
     derived = {name: rows.covariates[name] for name in rows.origin.derived}
     usable, barred_columns = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
@@ -35,16 +35,18 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     labels = [label_column(label) for label in labels_in(rows.labels.station)]
     if len(labels) > MOST_LABELS:
         barred_columns.append(
-            Barred(f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most")
+            UntestableEffect(
+                f"deviations by {LABEL_COLUMN}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most"
+            )
         )
         labels = []
     table |= label_columns(labels, rows.labels.station)
-    observed = Observed(
+    observed = ObservedRows(
         robot=model.robot,
         table=table,
         measured=tuple(usable),
         orientations=rows.sees_turns,
-        held=model.instruments.held,
+        stated_components=model.instruments.held,
         referred={
             (role, name): len(np.unique(rows.repeats.configuration[referring]))
             for role, name, referring in references(rows)

@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.engine.numerics import ROUNDS
-from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.scoring import score_of
 from aridcal.engine.search.state import State, activate, without_effect
 
-SAME = 0.1
+CURVE_CHANGE_SHARE = 0.1
 """Work: Share of its size by which the shape of a curve may still change: rows tell the size of a curve no better."""
 
 
-def reshaped(state: State, some: Callable[[Active], bool]) -> State:
+def reshaped(state: State, some: Callable[[ActiveEffect], bool]) -> State:
     """The model with the shapes of its curves estimated anew, one after the other, until they stay.
 
     A curve that is shaped before others are in the model follows their effects too, and would stay as rough.
@@ -39,6 +39,6 @@ def reshaped(state: State, some: Callable[[Active], bool]) -> State:
     return state
 
 
-def _same_shape(one: Active, tau: float, kernel: object) -> bool:
-    """True if another size and kernel are those of a curve, but for :data:`SAME`."""
-    return one.score.kernel == kernel and bool(np.isclose(one.score.tau, tau, rtol=SAME))
+def _same_shape(one: ActiveEffect, tau: float, kernel: object) -> bool:
+    """True if another size and kernel are those of a curve, but for :data:`CURVE_CHANGE_SHARE`."""
+    return one.score.kernel == kernel and bool(np.isclose(one.score.tau, tau, rtol=CURVE_CHANGE_SHARE))

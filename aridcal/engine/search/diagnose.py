@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from aridcal.engine.corrections.catalogue import KINDS, Barred, candidates, declared
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, UntestableEffect, candidates, declared
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.place_scatter import is_scatter
 from aridcal.engine.corrections.smooth import Kernel
 from aridcal.engine.corrections.unknown_kind import pair
-from aridcal.engine.fit.flags import cluster, flagged, limits
+from aridcal.engine.fit.flags import cluster, limits, outlier_rows
 from aridcal.engine.fit.least_squares import Fit, thin
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.question import Question
@@ -22,34 +22,34 @@ from aridcal.engine.levels import LENIENT
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.candidates import pairs
-from aridcal.engine.search.confounded import RivalModel, tied, twins
-from aridcal.engine.search.covariate_table import look
+from aridcal.engine.search.covariate_table import covariates_and_exclusions
 from aridcal.engine.search.curves import reshaped
-from aridcal.engine.search.declared import tied_to_frames, with_declared, with_fields
+from aridcal.engine.search.declared_effects import add_declared_effects, frame_imitations, with_fields
 from aridcal.engine.search.exact import (
-    FEWEST_PLACES,
+    FEWEST_HELD_BACK_THINGS,
     Start,
     few_places,
-    flagged_again,
     linear_model,
     refit,
     refit_constants,
+    reflag_rows,
     worth,
 )
-from aridcal.engine.search.held_back import missed
-from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.held_back_trials import needed_effects
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.places import has_scatter, scatter_of, with_scatter, without_scatter
 from aridcal.engine.search.ranking import is_small, rank
+from aridcal.engine.search.rival_models import RivalModel, rivals_of_effects, twins
 from aridcal.engine.search.sets import Choices, evidence_of_set
 from aridcal.engine.search.state import State, activate, solve_state
-from aridcal.engine.search.stepwise import Found, confirmed, exchanged, search
+from aridcal.engine.search.stepwise import StepwiseResult, confirm, exchange_sets, search
 from aridcal.system.progress import SILENT, Progress
 
 SEARCHES = 6
 """Work: Times that the model is linearised anew and searched, where that is cheap; two are usual, two more each time that sets
 are exchanged."""
 
-SEARCHED = 2000
+MOST_SEARCHED_ROWS = 2000
 """Work: Rows at the most that are searched: an effect that matters shows in these, and every trial costs as many as there
 are."""
 
@@ -59,32 +59,33 @@ MOST_LARGE = 4
 RIVALS = 5
 """Work: Candidates that are compared there for each of them."""
 
-LARGE = 100.0
+LARGE_EVIDENCE = 100.0
 """[nat] in favour of an effect that is worth comparing on the exact model: it bends the constants."""
 
 RIVAL_SHARE = 0.5
 """Work: Share of the best evidence on the linear model that a rival must have: less cannot win on the exact one."""
 
 FEW_PLACES = (
-    f"at fewer than {FEWEST_PLACES} places nothing shows that a curve of free form holds elsewhere; measure at more"
+    f"at fewer than {FEWEST_HELD_BACK_THINGS} places nothing shows that a curve of free form holds elsewhere; "
+    "measure at more"
 )
 """Why no such function is sought there."""
 
-PAIRED = 3
+MOST_PAIR_FUNCTIONS = 3
 """Work: Functions of two covariates that are added at the most: each costs as much as all functions of one."""
 
-EXPLAINED = 0.5
+REFLAGGED_SHARE = 0.5
 """Share of those rows that may be flagged again: if fewer are, what was found explains them."""
 
-BENT = 0.01
+NOISE_CHANGE_ON_EXACT_MODEL = 0.01
 """Relative change of a channel's noise from the linear model to the exact one, from which what a single search found is asked
 again: effects of 50 mrad change it by 0.03, so that others seem to be there; those of a real UR10 by 0.001."""
 
-UNNAMED = 6
+MOST_UNNAMED_EFFECTS = 6
 """Work: Effects without a name that are added at the most: what is left then has no simple form."""
 
 # A fitted effect: itself, and size and kernel of its prior if it is smooth.
-Shaped = tuple[Effect, float, Kernel]
+ShapedEffect = tuple[Effect, float, Kernel]
 
 
 @dataclass(frozen=True)
@@ -95,20 +96,21 @@ class SearchResult:
         fit: Constants and effects, fitted together on the exact model.
         linearised_at: Where the model was linearised for the last search.
         observed: Covariates of the rows that were searched: some of the training rows, if there are thousands.
-        found: The search's result.
+        stepwise: The search's result.
         named: The candidates whose kind names a cause.
         barred: Candidates that could not be tested, and why.
         scattered: True if rows of one place err alike, and the effects were searched beside that scatter.
-        confounded: For each active effect, the candidates that are confounded with it in these data; see :func:`told_apart`.
+        confounded: For each active effect, the candidates that are confounded with it in these data; see
+            :func:`model_with_rivals`.
         tied: Weights of these candidates, and the model with each.
     """
 
     fit: Fit
     linearised_at: Fit
-    observed: Observed
-    found: Found
+    observed: ObservedRows
+    stepwise: StepwiseResult
     named: tuple[Effect, ...]
-    barred: tuple[Barred, ...]
+    barred: tuple[UntestableEffect, ...]
     scattered: bool
     confounded: tuple[tuple[Effect, ...], ...] = ()
     tied: tuple[RivalModel, ...] = ()
@@ -116,12 +118,12 @@ class SearchResult:
     @property
     def linear(self) -> LinearModel:
         """The model as it was linearised for the last search."""
-        return self.found.state.model
+        return self.stepwise.state.model
 
     @property
     def declared(self) -> tuple[Effect, ...]:
         """Effects that the campaign declares."""
-        return tuple(a.effect for a in self.found.state.active if a.declared)
+        return tuple(a.effect for a in self.stepwise.state.active if a.declared)
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ class Setting:
     """
 
     start: Start
-    observed: Observed
+    observed: ObservedRows
     library: tuple[Effect, ...]
     scatter: tuple[Effect, ...]
 
@@ -145,7 +147,7 @@ class Setting:
         """Called with the work in hand."""
         return self.start.progress
 
-    def linear(self, at: Fit, active: Sequence[Active] = ()) -> LinearModel:
+    def linear(self, at: Fit, active: Sequence[ActiveEffect] = ()) -> LinearModel:
         """The exact model linearised about a fit, with some effects in it."""
         return linear_model(self.start, at, active, self.library, self.observed)
 
@@ -156,18 +158,18 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Step:
+class SearchStep:
     """The state of a search between two refits.
 
     Attributes:
-        at: The last fit of the exact model, about which the state of ``found`` is linear.
-        found: The effects.
+        at: The last fit of the exact model, about which the state of ``stepwise`` is linear.
+        stepwise: The effects.
         fitted: Shapes of the effects of that fit.
     """
 
     at: Fit
-    found: Found
-    fitted: tuple[Shaped, ...] = ()
+    stepwise: StepwiseResult
+    fitted: tuple[ShapedEffect, ...] = ()
 
 
 def diagnose(
@@ -190,12 +192,12 @@ def diagnose(
     """
     every = Start(geometric, train, limits(train), progress)
     first = _search_once(question, every, before)
-    if any(not a.declared for a in first.found.state.active) and not first.scattered:
+    if any(not a.declared for a in first.stepwise.state.active) and not first.scattered:
         scatter = scatter_of(_fewer_rows(every).train)
         if scatter:
             progress("asking whether rows of one place err alike, in place of these effects")
             beside = _search_once(question, every, None, scatter)
-            in_use = first.found.state.used & beside.found.state.used
+            in_use = first.stepwise.state.used & beside.stepwise.state.used
             first = max(first, beside, key=partial(_evidence, scatter, in_use))
     together = cluster(first.fit.outliers, train)
     if together is None or together.p_value > LENIENT:
@@ -205,7 +207,7 @@ def diagnose(
     counting = replace(every, limit=limits(train, together.rows))
     with_flagged = _search_once(question, counting, replace(first, scattered=False))
     flagged = int((with_flagged.fit.outliers & together.rows).sum())
-    return with_flagged if flagged < EXPLAINED * together.rows.sum() else first
+    return with_flagged if flagged < REFLAGGED_SHARE * together.rows.sum() else first
 
 
 def _search_once(
@@ -215,28 +217,28 @@ def _search_once(
     start, progress = _fewer_rows(every), every.progress
     geometric = start.geometric
     progress("listing the effects that these rows can show")
-    observed, barred_effects = look(geometric.model, start.train)
+    observed, barred_effects = covariates_and_exclusions(geometric.model, start.train)
     declared_effects = [declared(observed, d, str(question.source)) for d in question.effects]
     identities = {e.identity for e in declared_effects}
     named = [
         e
-        for e in candidates(observed, tuple(k for k in question.sought if KINDS[k].named))
+        for e in candidates(observed, tuple(k for k in question.sought if EFFECT_KINDS[k].named))
         if e.identity not in identities
     ]
-    unnamed = candidates(observed, tuple(k for k in question.sought if not KINDS[k].named))
+    unnamed = candidates(observed, tuple(k for k in question.sought if not EFFECT_KINDS[k].named))
     if few_places(geometric.model, start.train):
         curves = dict.fromkeys(e.kind for e in (*named, *unnamed) if e.smooth)
-        barred_effects += [Barred(kind, FEW_PLACES) for kind in curves]
+        barred_effects += [UntestableEffect(kind, FEW_PLACES) for kind in curves]
         named, unnamed = [e for e in named if not e.smooth], []
     setting = Setting(start, observed, (*named, *unnamed, *declared_effects, *scatter_of(start.train)), scatter)
     progress("linearising the model")
-    state, lost_effects = with_declared(
+    state, lost_effects = add_declared_effects(
         setting.linear(geometric), declared_effects, [d.at is None for d in question.effects], geometric
     )
     named = [e for e in named if state.model.moves(e)]
     if named:
         progress(f"testing {len(named)} known effects")
-    barred_effects += lost_effects + tied_to_frames(state, named)
+    barred_effects += lost_effects + frame_imitations(state, named)
     state = with_scatter(state, scatter)
     if has_scatter(state):
         progress("rows of one place err alike: testing beside that")
@@ -247,14 +249,14 @@ def _search_once(
         at, state = _large_first(setting, named, state)
     fresh = (small and not settled) or before is None
     if before is not None and not fresh:
-        state = state.with_active((*state.active, *(a for a in before.found.state.active if not a.declared)))
+        state = state.with_active((*state.active, *(a for a in before.stepwise.state.active if not a.declared)))
         if not settled:
-            state = confirmed(state, len(named) + len(unnamed), progress)
+            state = confirm(state, len(named) + len(unnamed), progress)
     if before is not None and settled:
-        step = Step(at, replace(before.found, state=state))
+        step = SearchStep(at, replace(before.stepwise, state=state))
     else:
-        step = _search_named(setting, named, Step(at, Found(state, (), 0)), fresh)
-    result = step.found
+        step = _search_named(setting, named, SearchStep(at, StepwiseResult(state, (), 0)), fresh)
+    result = step.stepwise
     state, lost_effects = with_fields(reshaped(result.state, lambda a: a.declared), declared_effects)
     result, barred_effects = replace(result, state=state), barred_effects + lost_effects
     if unnamed and not settled:
@@ -269,18 +271,20 @@ def _search_once(
     if _shapes(state) != step.fitted:
         progress(_words_of_refit(state))
         final = refit(start, state, final)
-        bent = not small and bool(np.any(np.abs(np.log(final.estimated / state.solution.sigma)) > BENT))
+        bent = not small and bool(
+            np.any(np.abs(np.log(final.estimated / state.solution.sigma)) > NOISE_CHANGE_ON_EXACT_MODEL)
+        )
     linearised_at = final
     if state.active:
         state = setting.about(final, state, final.sigma)
-        reduced = state if scattered or settled else missed(state.model, state)
+        reduced = state if scattered or settled else needed_effects(state.model, state)
         if bent and not (scattered or settled):
-            reduced = confirmed(reduced, result.tested, progress)
+            reduced = confirm(reduced, result.tested, progress)
         if len(reduced.active) < len(state.active):
             progress(_words_of_refit(reduced))
             final = refit(start, reduced, final)
         state = reduced
-    final = flagged_again(replace(start, limit=limits(start.train)), state, final)
+    final = reflag_rows(replace(start, limit=limits(start.train)), state, final)
     if len(every.train) > len(start.train):
         progress(f"fitting all {len(every.train)} rows")
         final = _fit_all_rows(replace(every, limit=limits(every.train)), state, final)
@@ -292,15 +296,15 @@ def _search_once(
 
 def _evidence(scatter: tuple[Effect, ...], in_use: np.ndarray, diagnosed: SearchResult) -> float:
     """Evidence for the effects of a search on some rows, [nat], the scatter of places with them where it is clear."""
-    return evidence_of_set(with_scatter(diagnosed.found.state, scatter), Choices.of(diagnosed.named), in_use)
+    return evidence_of_set(with_scatter(diagnosed.stepwise.state, scatter), Choices.of(diagnosed.named), in_use)
 
 
-def told_apart(diagnosed: SearchResult, progress: Progress = SILENT) -> SearchResult:
+def model_with_rivals(diagnosed: SearchResult, progress: Progress = SILENT) -> SearchResult:
     """The final model with the candidates that are confounded with each effect; its products are forgotten afterwards."""
-    state = diagnosed.found.state
+    state = diagnosed.stepwise.state
     rivals = twins(state, diagnosed.named, progress)
     constants = [c for c in diagnosed.linearised_at.model.coefficients if c.basis.constant]
-    weighed = tied(state, constants, rivals)
+    weighed = rivals_of_effects(state, constants, rivals)
     state.model.products.forget()
     return replace(diagnosed, confounded=tuple(tuple(e for e, _ in effects[1:]) for effects in rivals), tied=weighed)
 
@@ -311,41 +315,41 @@ def _words_of_refit(state: State) -> str:
     return f"fitting {count} effect{'' if count == 1 else 's'}: {', '.join(e.label for e in state.effects[:4])}"
 
 
-def _search_named(setting: Setting, named: Sequence[Effect], step: Step, fresh: bool) -> Step:
+def _search_named(setting: Setting, named: Sequence[Effect], step: SearchStep, fresh: bool) -> SearchStep:
     """Search, refit on the exact model and search again about that, until the same effects are found."""
     progress = setting.progress
-    small = is_small(step.found.state.model, named)
+    small = is_small(step.stepwise.state.model, named)
     no_better = False
     for _ in range(SEARCHES if small else 1):
-        before, result = step.found.state, step.found
+        before, result = step.stepwise.state, step.stepwise
         if not no_better:
             result = search(before, named, exchange=fresh, progress=progress)
         whole = fresh and small and set(result.state.effects) == set(before.effects)
         if whole:
-            result = exchanged(result, named, progress)
+            result = exchange_sets(result, named, progress)
         state = with_scatter(result.state, setting.scatter) if has_scatter(result.state) else result.state
         result = replace(result, state=state)
         settled = set(state.effects) == set(before.effects) and step.at is not setting.start.geometric
         if not small or not state.active or settled:
-            return replace(step, found=result)
+            return replace(step, stepwise=result)
         progress(_words_of_refit(state))
         trial = refit(setting.start, state, step.at)
         if not set(before.effects) <= set(state.effects) and worth(trial, state) < worth(step.at, before):
             # A set that is better on the linear model is not on the exact one: whole other sets may be.
-            step, no_better = replace(step, found=replace(result, state=before)), True
+            step, no_better = replace(step, stepwise=replace(result, state=before)), True
             if whole or not fresh:
                 return step
         else:
             no_better = False
-            step = Step(trial, replace(result, state=setting.about(trial, state)), _shapes(state))
+            step = SearchStep(trial, replace(result, state=setting.about(trial, state)), _shapes(state))
     return step
 
 
 def _fewer_rows(every: Start) -> Start:
-    """The start with :data:`SEARCHED` of its rows at the most."""
+    """The start with :data:`MOST_SEARCHED_ROWS` of its rows at the most."""
     geometric, train = every.geometric, every.train
     rows = rows_of_data(geometric.model, train)
-    some = thin(rows, SEARCHED)
+    some = thin(rows, MOST_SEARCHED_ROWS)
     if len(some) == len(train):
         return every
     fewer = replace(geometric, weight=geometric.weight[some], residual=geometric.residual[some])
@@ -357,16 +361,16 @@ def _fit_all_rows(every: Start, state: State, current: Fit) -> Fit:
     if not state.active:
         return every.geometric
     question = problem(current.model, every.train, every.progress)
-    in_use = ~flagged(question.scaled_residual(current.theta), every.train.channels, every.limit)
+    in_use = ~outlier_rows(question.scaled_residual(current.theta), every.train.channels, every.limit)
     return refit_constants(every, replace(state, used=in_use), current)
 
 
-def _search_unnamed(setting: Setting, unnamed: Sequence[Effect], named: Found, fresh: bool) -> Found:
+def _search_unnamed(setting: Setting, unnamed: Sequence[Effect], named: StepwiseResult, fresh: bool) -> StepwiseResult:
     """Add smooth functions of one covariate, and then of two, to the effects that name a cause."""
     observed, progress, model = setting.observed, setting.progress, named.state.model
-    more = search(named.state, unnamed, UNNAMED, exchange=fresh, progress=progress)
+    more = search(named.state, unnamed, MOST_UNNAMED_EFFECTS, exchange=fresh, progress=progress)
     rejected, tested = named.rejected + more.rejected[:1], named.tested + more.tested
-    for k in range(PAIRED):
+    for k in range(MOST_PAIR_FUNCTIONS):
         before = more.state
         places, count = pairs(before, observed.varying(), observed.robot, progress)
         library = [pair(observed, *place) for place in places]
@@ -374,10 +378,10 @@ def _search_unnamed(setting: Setting, unnamed: Sequence[Effect], named: Found, f
         tested += count if k == 0 else 0
         if len(more.state.active) == len(before.active):
             break
-    return Found(more.state, rejected, tested)
+    return StepwiseResult(more.state, rejected, tested)
 
 
-def _shapes(state: State) -> tuple[Shaped, ...]:
+def _shapes(state: State) -> tuple[ShapedEffect, ...]:
     """The effects of a state, smooth ones with their shape."""
     return tuple((a.effect, a.score.tau, a.score.kernel) for a in state.active if not is_scatter(a.effect))
 
@@ -398,7 +402,7 @@ def _best_rival(start: Start, named: Sequence[Effect], at: Fit, state: State) ->
     """The exact model refitted with the large effect that explains most there; None if there is no large effect."""
     ranked = rank(state, named, progress=start.progress)
     top = ranked[0][1].gain if ranked else 0.0
-    large = [(e, s) for e, s in ranked[:RIVALS] if s.gain > max(LARGE, RIVAL_SHARE * top)]
+    large = [(e, s) for e, s in ranked[:RIVALS] if s.gain > max(LARGE_EVIDENCE, RIVAL_SHARE * top)]
     rivals = {(e.kind, e.where, e.motion): (e, s) for e, s in reversed(large)}
     trials = []
     for effect, score in reversed(rivals.values()):

@@ -26,7 +26,7 @@ from aridcal.engine.fit.normal_equations import solve as solve_equations
 from aridcal.engine.levels import PRICE
 from aridcal.engine.numerics import FLOOR, RIDGE, ROUNDS, TINY
 
-DEPENDENT = 1e-6
+DEPENDENT_SHARE = 1e-6
 """Share of a column's square that must be left when the model's own columns are taken off: below it is rounding."""
 
 NOISE_SETTLED = 1e-2
@@ -35,30 +35,30 @@ NOISE_SETTLED = 1e-2
 NOISE_KNOWN = 2e-3
 """Work: The same where coefficients are solved for: of 10,000 numbers the likelihood is then known to 0.04 nat."""
 
-LEAST_FREEDOM = 0.05
+LEAST_FREEDOM_SHARE = 0.05
 """Work: Share of a channel's numbers that is left to estimate its noise from, whatever the freedom of the model."""
 
 TAUS = np.logspace(-1.5, 9, 43)
 """Work: Prior variances that are tried, in units of the best seen mode, at a first look of all: four a decade, from nothing to
 all."""
 
-WHOLE = 1.0 - 1e-12
+MOST_EXPLAINED_SHARE = 1.0 - 1e-12
 """Work: A share of the residual that is explained is at most this: beyond it is rounding."""
 
-HIDDEN = 1e-3
+HIDDEN_PRIOR = 1e-3
 """Work: Prior variance of a mode that is rounding, in units of its noise, from which it is left out by name: a mode below it
 adds no more than such a share of a nat."""
 
 FACTORS = 24
 """Work: Factors from 1e-9 to 33 that are multiplied before a logarithm is taken: their product is far from what overflows."""
 
-TOGETHER = 400
+EVIDENCE_AT_ONCE = 400
 """Work: Candidates times kernels whose evidence is found at once: their numbers stay in the cache."""
 
-ROUGH = tuple(Kernel(length) for length in (0.7, 1.5, 3.0, 6.0, 12.0, 24.0))
+ROUGH_KERNELS = tuple(Kernel(length) for length in (0.7, 1.5, 3.0, 6.0, 12.0, 24.0))
 """Work: Shapes of smooth functions for a first look: an octave apart, from one knot to a third of a joint map."""
 
-KERNELS = (*ROUGH, *(Kernel(length, kinks=False) for length in (1.5, 3.0, 6.0, 9.0, 12.0, 18.0)))
+KERNELS = (*ROUGH_KERNELS, *(Kernel(length, kinks=False) for length in (1.5, 3.0, 6.0, 9.0, 12.0, 18.0)))
 """Work: All shapes: those, and functions without any kink."""
 
 
@@ -98,7 +98,7 @@ class Score:
     p_value: float
     freedom: int
     tau: float = 0.0
-    kernel: Kernel = ROUGH[0]
+    kernel: Kernel = ROUGH_KERNELS[0]
     sigma: np.ndarray | None = None
 
 
@@ -118,7 +118,7 @@ class Amplitudes(NamedTuple):
     informed: np.ndarray
 
 
-NOTHING = Score(0.0, 1.0, 0)
+NO_SCORE = Score(0.0, 1.0, 0)
 """Of columns that say nothing new."""
 
 
@@ -170,7 +170,7 @@ def with_noise(
 
 def noise_left(equations: NormalEquations, squares: np.ndarray, spent: np.ndarray) -> np.ndarray:
     """Noise of each channel, shape (C,), from the residual's squares and the degrees of freedom that were used up."""
-    freedom = np.maximum(equations.count - spent, LEAST_FREEDOM * equations.count + 1e-9)
+    freedom = np.maximum(equations.count - spent, LEAST_FREEDOM_SHARE * equations.count + 1e-9)
     return np.maximum(np.sqrt(squares / freedom), FLOOR)
 
 
@@ -195,7 +195,7 @@ def scores(
         count: Numbers measured.
         shape: What the columns sample, for smooth functions; else None.
     """
-    return _smooth(M, s, raw, shape, ROUGH, total, count) if shape else _plain(M, s, raw, total, count)
+    return _smooth(M, s, raw, shape, ROUGH_KERNELS, total, count) if shape else _plain(M, s, raw, total, count)
 
 
 def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: np.ndarray) -> Score:
@@ -229,7 +229,7 @@ def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, total: float, count: f
     squares, freedoms = explained(M, s, raw)
     twice = profiled(squares, total, count)
     return [
-        Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
+        Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NO_SCORE
         for gain, freedom in zip(twice.tolist(), freedoms.tolist(), strict=True)
     ]
 
@@ -238,7 +238,7 @@ def explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> tuple[np.ndarray
     """Squares that columns explain, shape (k,), and how many columns are not sums of the model's, (k,); see :func:`scores`."""
     scale = 1.0 / np.sqrt(np.maximum(raw, TINY))
     values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
-    new = values > DEPENDENT
+    new = values > DEPENDENT_SHARE
     along = np.einsum("kij,ki->kj", vectors, s * scale)
     squares = np.sum(np.where(new, along**2 / np.where(new, values, 1.0), 0.0), axis=1)
     return squares, new.sum(axis=1)
@@ -259,13 +259,13 @@ def _smooth(
     """
     kernels = kernels_that_matter(shape, kernels)
     parts = []
-    step = max(1, TOGETHER // len(s))
+    step = max(1, EVIDENCE_AT_ONCE // len(s))
     for first in range(0, len(kernels), step):
         roots = np.stack([samples_root(shape, kernel) for kernel in kernels[first : first + step]])[:, None]
         A, b = np.swapaxes(roots, 2, 3) @ M @ roots, s @ roots[:, 0]
         mean_square = np.sum(roots[:, 0] ** 2, axis=2) @ raw.T / s.shape[1]
         parts.append(likeliest(A.reshape(-1, *M.shape[1:]), b.reshape(-1, s.shape[1]),
-                               DEPENDENT * mean_square.ravel(), total, count, total < np.inf))  # fmt: skip
+                               DEPENDENT_SHARE * mean_square.ravel(), total, count, total < np.inf))  # fmt: skip
     variance, twice, freedom, informed = (
         np.concatenate(each).reshape(len(kernels), -1) for each in zip(*parts, strict=True)
     )
@@ -279,7 +279,7 @@ def _smooth(
             kernels[at],
         )
         if informed[at, k]
-        else NOTHING
+        else NO_SCORE
         for k, at in enumerate(best.tolist())
     ]
 
@@ -302,7 +302,7 @@ def likeliest(
         roughly: Take amplitudes in units of the trace of A, which needs no eigenvalues.
     """
     likely = _by_chain(A, b, total, count, roughly)
-    doubted = likely.variance * least > HIDDEN
+    doubted = likely.variance * least > HIDDEN_PRIOR
     if doubted.any():
         for values, sure in zip(likely, _by_modes(A[doubted], b[doubted], least[doubted], total, count), strict=True):
             values[doubted] = sure
@@ -313,7 +313,9 @@ def profiled(squares: np.ndarray, total: float, count: float) -> np.ndarray:
     """Twice the gain in log-likelihood from squares explained; the noise is estimated with them where ``total`` is finite."""
     if total == np.inf:
         return squares
-    return np.asarray(-count * np.log1p(-np.minimum(squares, WHOLE * max(total, TINY)) / max(total, TINY)))
+    return np.asarray(
+        -count * np.log1p(-np.minimum(squares, MOST_EXPLAINED_SHARE * max(total, TINY)) / max(total, TINY))
+    )
 
 
 def _by_chain(A: np.ndarray, b: np.ndarray, total: float, count: float, roughly: bool) -> Amplitudes:

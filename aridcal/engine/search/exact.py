@@ -9,31 +9,31 @@ from types import MappingProxyType
 import numpy as np
 from scipy.linalg import block_diag
 
-from aridcal.engine.corrections.basis import evaluated
+from aridcal.engine.corrections.basis import values_of_bases
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.place_scatter import is_scatter, place_columns
-from aridcal.engine.fit.flags import flagged
+from aridcal.engine.fit.flags import outlier_rows
 from aridcal.engine.fit.identifiable import apart, identifiable
 from aridcal.engine.fit.least_squares import Fit, fit
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import Problem, problem
-from aridcal.engine.fit.residual import taking_off, triangle
-from aridcal.engine.levels import FOLDS
+from aridcal.engine.fit.residual import thing_projector, triangle
+from aridcal.engine.levels import CHOOSING_FOLDS
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.predictions import readings_at
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together, repeated
-from aridcal.engine.search.covariate_table import look
+from aridcal.engine.rows.split import held_back_groups, repeated
+from aridcal.engine.search.covariate_table import covariates_and_exclusions
 from aridcal.engine.search.evidence import charge
-from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.state import State
 from aridcal.system.progress import SILENT, Progress
 
 RUNS = 24
 """Stretches of time into which the rows are cut: enough for a test that takes each of them as one."""
 
-FEWEST_PLACES = 3
+FEWEST_HELD_BACK_THINGS = 3
 """Things, or groups that ties join, from which whole ones are held back: of two, one alone does not tell the constants."""
 
 GAUGE = 0.05
@@ -112,9 +112,9 @@ def refit_constants(
     return replace(refitted, candidates=geometric.candidates, redundant=redundant)
 
 
-def flagged_again(start: Start, state: State, current: Fit) -> Fit:
+def reflag_rows(start: Start, state: State, current: Fit) -> Fit:
     """The fit with rows flagged by its own residuals; the same fit if it was made with these flags."""
-    in_use = ~flagged(current.residual, start.train.channels, start.limit)
+    in_use = ~outlier_rows(current.residual, start.train.channels, start.limit)
     if np.array_equal(in_use, ~current.outliers) or not state.active:
         return current
     return refit_constants(start, replace(state, used=in_use), current)
@@ -176,12 +176,12 @@ def _constants_regained(start: Start, refitted: Fit) -> tuple[Coefficient, ...]:
     if not apart(R, len(constant) - len(dropped)).any():  # sums of the other constants, whatever the effects are
         return ()
     R = triangle(question, theta, refitted.weight, refitted.sigma) * model.sizes
-    identifiable_now = identifiable(R, range(len(theta))).kept
+    identifiable_now = identifiable(R, range(len(theta))).independent
     return tuple(c for k, c in enumerate(model.coefficients) if k >= len(refitted.theta) and k in identifiable_now)
 
 
 def linear_model(
-    start: Start, current: Fit, active: Sequence[Active], library: Sequence[Effect], observed: Observed
+    start: Start, current: Fit, active: Sequence[ActiveEffect], library: Sequence[Effect], observed: ObservedRows
 ) -> LinearModel:
     """Linearise the current model, and the slots where the library's effects act.
 
@@ -203,7 +203,7 @@ def linear_model(
     theta = np.concatenate([current.theta, np.zeros(len(slots))])
     question = problem(model, start.train).agreeing(theta)
     r, J = question.linearised(theta)
-    off = taking_off(question, theta, current.weight, current.sigma)
+    off = thing_projector(question, theta, current.weight, current.sigma)
     constant = np.flatnonzero([c.basis.constant for c in coefficients])
     A = J[:, :, : len(coefficients)]
     if off is not None:
@@ -215,16 +215,16 @@ def linear_model(
     if start.train.repeats.share != 1.0:
         r, A, J = (np.sqrt(start.train.repeats.share) * values for values in (r, A, J))
     table = _table(start, question, observed)
-    together = (held_together if any(is_scatter(a.effect) for a in active) else repeated)(start.train)
+    together = (held_back_groups if any(is_scatter(a.effect) for a in active) else repeated)(start.train)
     run, fold = _folds(start.train, together)
-    of_places = place_columns(held_together(start.train)) if any(is_scatter(e) for e in effects) else {}
+    of_places = place_columns(held_back_groups(start.train)) if any(is_scatter(e) for e in effects) else {}
     return LinearModel(
         channels=start.train.channels,
         A=np.ascontiguousarray(A[:, :, constant]),
         gauge=_gauge(start.geometric, tuple(coefficients[k] for k in constant)),
         G=np.ascontiguousarray(J[:, :, len(coefficients) :]),
         slots=slots,
-        phi=np.asfortranarray(evaluated(bases, {**table, **of_places}) if bases else np.zeros((len(r), 0))),
+        phi=np.asfortranarray(values_of_bases(bases, {**table, **of_places}) if bases else np.zeros((len(r), 0))),
         bases=bases,
         r=r,
         limit=start.limit,
@@ -252,10 +252,10 @@ def _places(question: Problem) -> np.ndarray | None:
     if question.groups is None or (question.groups.row < 0).any():
         return None
     different, number = np.unique(question.groups.row, return_inverse=True)
-    return np.asarray(number) if len(different) >= FEWEST_PLACES else None
+    return np.asarray(number) if len(different) >= FEWEST_HELD_BACK_THINGS else None
 
 
-def _table(start: Start, question: Problem, observed: Observed) -> Mapping[str, np.ndarray]:
+def _table(start: Start, question: Problem, observed: ObservedRows) -> Mapping[str, np.ndarray]:
     """Covariates of bases, shape (N,) each, at the readings of the derivatives: as read, or agreeing with the model.
 
     A motion that a turn of a joint undoes moves nothing; with its basis at one angle and its column at another it would seem to
@@ -265,7 +265,7 @@ def _table(start: Start, question: Problem, observed: Observed) -> Mapping[str, 
     if predictions.wide is None or predictions.agreed is None:
         return observed.table
     rows_agreeing = replace(start.train, readings=readings_at(predictions, start.train, predictions.agreed.positions))
-    return look(start.geometric.model, rows_agreeing)[0].table
+    return covariates_and_exclusions(start.geometric.model, rows_agreeing)[0].table
 
 
 def _folds(train: Dataset, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -274,4 +274,4 @@ def _folds(train: Dataset, together: np.ndarray) -> tuple[np.ndarray, np.ndarray
     run = np.empty(n, dtype=int)
     run[train.sequence] = np.arange(n) * min(RUNS, n) // n
     number = np.random.default_rng(0).permutation(int(together.max()) + 1)
-    return run, number[together] % FOLDS
+    return run, number[together] % CHOOSING_FOLDS

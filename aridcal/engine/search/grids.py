@@ -28,7 +28,7 @@ FULL = 0.9
 
 
 @dataclass(frozen=True)
-class Local:
+class LocalValues:
     """Values of d functions at N rows, of which at most k are not zero at a row.
 
     Attributes:
@@ -41,21 +41,21 @@ class Local:
     numbers: np.ndarray
     count: int
 
-    def times(self, other: Local) -> Local:
+    def times(self, other: LocalValues) -> LocalValues:
         """All products of two functions: i of the first and j of the second is number i d' + j."""
         shape = len(self.values), self.values.shape[1] * other.values.shape[1]  # there may be no row that both have
         values = (self.values[:, :, None] * other.values[:, None, :]).reshape(shape)
         numbers = (self.numbers[:, :, None] * other.count + other.numbers[:, None, :]).reshape(shape)
-        return Local(values, numbers, self.count * other.count)
+        return LocalValues(values, numbers, self.count * other.count)
 
-    def at(self, rows: np.ndarray) -> Local:
+    def at(self, rows: np.ndarray) -> LocalValues:
         """The functions at some rows."""
-        return Local(self.values[rows], self.numbers[rows], self.count)
+        return LocalValues(self.values[rows], self.numbers[rows], self.count)
 
-    def part(self, low: int, high: int) -> Local:
+    def part(self, low: int, high: int) -> LocalValues:
         """The functions at rows ``low`` to ``high``; they are kept."""
         if (low, high) not in self._parts:
-            self._parts[low, high] = Local(self.values[low:high], self.numbers[low:high], self.count)
+            self._parts[low, high] = LocalValues(self.values[low:high], self.numbers[low:high], self.count)
         return self._parts[low, high]
 
     def sums(self, weights: np.ndarray) -> np.ndarray:
@@ -63,7 +63,7 @@ class Local:
         return np.asarray(self._over_rows @ weights)
 
     @cached_property
-    def _parts(self) -> dict[tuple[int, int], Local]:
+    def _parts(self) -> dict[tuple[int, int], LocalValues]:
         return {}
 
     @cached_property
@@ -74,13 +74,13 @@ class Local:
         return csc_array((self.values.ravel(), self.numbers.ravel(), ends), shape=(self.count, rows))
 
 
-def local(values: np.ndarray) -> Local | None:
+def local(values: np.ndarray) -> LocalValues | None:
     """Functions of shape (N, d) as local ones; None if they are not."""
     k = int(np.count_nonzero(values, axis=1).max(initial=1))
     if k * SPARSE > values.shape[1]:
         return None
     numbers = np.argsort(values == 0.0, axis=1, kind="stable")[:, :k]
-    return Local(np.take_along_axis(values, numbers, axis=1), numbers, values.shape[1])
+    return LocalValues(np.take_along_axis(values, numbers, axis=1), numbers, values.shape[1])
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Grid:
     """
 
     slots: tuple[np.ndarray, ...]
-    functions: Local
+    functions: LocalValues
     rows: np.ndarray | None = None
 
     def gram(self) -> np.ndarray:
@@ -145,7 +145,7 @@ class Grid:
         by_row = values.reshape(len(values) // slots.shape[1], slots.shape[1], -1)
         return by_row if self.rows is None else by_row[self.rows]
 
-    def _summed(self, functions: Local, weights: Sequence[np.ndarray]) -> np.ndarray:
+    def _summed(self, functions: LocalValues, weights: Sequence[np.ndarray]) -> np.ndarray:
         """Sums of functions times weights of shape (n, E) for each channel, shape (C, E, functions)."""
         together = functions.sums(np.hstack(weights))
         return together.reshape(functions.count, len(weights), -1).transpose(1, 2, 0)
@@ -157,14 +157,14 @@ def moved_rows(slots: tuple[np.ndarray, ...]) -> np.ndarray | None:
     return None if np.mean(moved) > FULL else np.flatnonzero(moved)
 
 
-def moving(slots: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], np.ndarray | None]:
+def moving_slots(slots: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], np.ndarray | None]:
     """Slots cut to the rows that they move, and the numbers of these rows: on other paths their columns are zero."""
     rows = moved_rows(slots)
     return (slots if rows is None else tuple(g[rows] for g in slots)), rows
 
 
-def grid_of(slots: tuple[np.ndarray, ...], rows: np.ndarray | None, functions: Local) -> Grid:
-    """The grid of slots cut by :func:`moving` and of functions in all N rows."""
+def grid_of(slots: tuple[np.ndarray, ...], rows: np.ndarray | None, functions: LocalValues) -> Grid:
+    """The grid of slots cut by :func:`moving_slots` and of functions in all N rows."""
     return Grid(slots, functions if rows is None else functions.at(rows), rows)
 
 

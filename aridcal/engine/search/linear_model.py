@@ -15,9 +15,9 @@ from aridcal.engine.fit.elimination import Projector
 from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.search.answers import Answers
 from aridcal.engine.search.evidence import Score
-from aridcal.engine.search.products import Flat, Layout, Products, Source
+from aridcal.engine.search.products import ColumnSource, Flat, FoldOrder, Products
 
-PLAUSIBLE = 5e-3
+PLAUSIBLE_SIZE = 5e-3
 """[m] and [rad] per unit of a basis: what joints, links and frames are wrong by in a way that changes is less."""
 
 
@@ -93,8 +93,8 @@ class LinearModel:
         return Answers()
 
     @cached_property
-    def _layout(self) -> Layout:
-        return Layout.of(self.fold, self.channels)
+    def _layout(self) -> FoldOrder:
+        return FoldOrder.of(self.fold, self.channels)
 
     @cached_property
     def _in_folds(self) -> tuple[np.ndarray, ...]:
@@ -103,8 +103,8 @@ class LinearModel:
         return tuple(np.ascontiguousarray(ordered[:, :, part]) for part in columns(self.channels))
 
     @property
-    def _source(self) -> Source:
-        return Source(self.flat_columns, self._apart, self._of_slots, lambda bases: self._values(bases).T)
+    def _source(self) -> ColumnSource:
+        return ColumnSource(self.flat_columns, self._apart, self._of_slots, lambda bases: self._values(bases).T)
 
     def _values(self, bases: Sequence[int], places: np.ndarray | None = None) -> np.ndarray:
         """Values of some bases, (bases, N), in the order of the folds, or at some places of it."""
@@ -144,7 +144,7 @@ class LinearModel:
     def prior_of(self, effect: Effect) -> float:
         """Prior precision of an effect's coefficients: where unknown things take up much, huge ones might cancel out."""
         of_arm = effect.where in (*self.joints, "world_base", "tip_target")
-        return PLAUSIBLE**-2.0 if self.off is not None and of_arm else 0.0
+        return PLAUSIBLE_SIZE**-2.0 if self.off is not None and of_arm else 0.0
 
     def slot_columns(self, where: str, component: str) -> np.ndarray:
         """Columns of one slot, shape (N, m)."""
@@ -220,7 +220,7 @@ class LinearModel:
 
 
 @dataclass(frozen=True)
-class Active:
+class ActiveEffect:
     """An effect in the model; a smooth one by the modes that the data determine, each with unit prior.
 
     Attributes:

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.engine.corrections.loads import PAYLOAD, Payload, Surroundings, is_load
-from aridcal.engine.fit.least_squares import PLENTY, Fit
+from aridcal.engine.fit.least_squares import PLENTY_OF_NUMBERS, Fit
 from aridcal.engine.fit.noise import independent_share
 from aridcal.engine.fit.normal_equations import accumulate, solve
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.question import Question
-from aridcal.engine.fit.residual import eliminated
+from aridcal.engine.fit.residual import reduced_stretches
 from aridcal.engine.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
 from aridcal.engine.instruments.channels import columns, spread
-from aridcal.engine.instruments.kinds import KINDS
-from aridcal.engine.levels import BLOCKS, PLAINLY, SEVERAL
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
+from aridcal.engine.levels import JUDGING_FOLDS, PLAINLY, SEVERAL
 from aridcal.engine.model.declared_noise import with_declared_noise
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.placements import sights_of
@@ -25,36 +25,36 @@ from aridcal.engine.numerics import RIDGE
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
-from aridcal.engine.search.diagnose import SearchResult, diagnose, told_apart
+from aridcal.engine.rows.split import held_back_groups
+from aridcal.engine.search.diagnose import SearchResult, diagnose, model_with_rivals
 from aridcal.engine.search.noise_causes import NoiseCauses, noise_causes
 from aridcal.engine.search.noise_tests import rms_of_channels
 from aridcal.system.progress import SILENT, Progress
 
-CLEARER = 1.2
+CLEARER_WEIGHT_RATIO = 1.2
 """Work: Times as much or as little as before that a row must count for, once effects are found, for another search: evidence
 does."""
 
-WEIGHED = 3
+MOST_SCATTER_ROUNDS = 3
 """Work: Times that this is asked, as effects that imitate what a place errs by leave less of it; mostly once."""
 
-HANGS = 1e-4
+TARGET_SHIFT_OF_CONSTANTS = 1e-4
 """Work: [m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was
 hung: 0.1 mm of some 100 mm change a load by a thousandth."""
 
-KEPT_NOMINAL = (
+KEPT_NOMINAL_SENTENCE = (
     "the nominal robot is kept: fitted to these {} configurations, constants and effects do not predict held-back ones better. "
     "Measure more configurations, or identify fewer parameters"
 )
 """What is said where neither constants nor effects are worth their freedom."""
 
 
-LEAST_FREEDOM = 0.67
+LEAST_NUMBERS_LEFT = 0.67
 """Share h of the numbers measured that must be left after fitting. At new configurations the model's own variance is about
 (1 - h) / h of the noise's: with less it is off by more than 0.7 sigma, and nobody may say what it lacks, or that only noise is
 left."""
 
-WITNESSES = (
+TOO_FEW_NUMBERS = (
     "{:.0f} rows on the average were measured at one reading and share its error; each is weighed by itself, so that standard "
     "deviations are too small where readings are most of what scatters. More postures tell more than more marks"
 )
@@ -101,9 +101,9 @@ def calibrated_arm(
         return _with_surroundings(anew, geometry.geometric.model.around)
 
     arm = fitted(rows, geometry)
-    for _ in range(WEIGHED if bodies == 1 else 0):
+    for _ in range(MOST_SCATTER_ROUNDS if bodies == 1 else 0):
         share = _share_of_row(rows, arm.diagnosed.fit)
-        if rows.repeats.share / CLEARER < share < rows.repeats.share * CLEARER:
+        if rows.repeats.share / CLEARER_WEIGHT_RATIO < share < rows.repeats.share * CLEARER_WEIGHT_RATIO:
             break
         progress("weighing rows of one place by how alike they err, and looking again")
         rows = rows.with_repeats(share=share)
@@ -114,7 +114,7 @@ def calibrated_arm(
         geometry = elsewhere
         arm = fitted(rows, geometry, arm.diagnosed)
     moved = with_things_moved(arm.geometry.geometric, arm.diagnosed.fit)
-    if moved is not None and any(KINDS[block.kind].noise for block in rows.blocks):
+    if moved is not None and any(MEASUREMENT_KINDS[block.kind].noise for block in rows.blocks):
         progress("weighing the rows by what the instruments, as found, leave open, and fitting again")
         rows = with_declared_noise(rows, moved.states)
         geometry = weighed_anew(rows)
@@ -123,20 +123,22 @@ def calibrated_arm(
         progress("weighing the rows by what makes them scatter, and fitting again")
         weighed = replace(rows, relative=arm.causes.relative)
         arm = fitted(weighed, weighed_anew(weighed), arm.diagnosed)
-    if arm.diagnosed.found.state.active and not is_better(arm.diagnosed.fit, arm.geometry.geometric, arm.rows.fitted):
+    if arm.diagnosed.stepwise.state.active and not is_better(
+        arm.diagnosed.fit, arm.geometry.geometric, arm.rows.fitted
+    ):
         progress("constants alone predict held-back rows as well: leaving the effects out")
         arm = fit_arm(question.without_search(), arm.geometry, arm.rows, progress)
         arm = replace(arm, causes=_causes(arm, rows, progress))
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
         return replace(
-            arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_causes_with_names(arm, rows, progress)
+            arm, diagnosed=model_with_rivals(arm.diagnosed, progress), causes=_causes_with_names(arm, rows, progress)
         )
     return _keep_nominal(question, arm, progress)
 
 
 def _causes(arm: CalibratedArm, rows: Dataset, progress: Progress, shapes: bool = True) -> NoiseCauses | None:
     """Causes of the scatter of a fitted arm; see :func:`noise_causes`."""
-    return noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress, shapes)
+    return noise_causes(arm.diagnosed.fit, arm.diagnosed.stepwise.state.active, rows, progress, shapes)
 
 
 def _causes_with_names(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
@@ -161,10 +163,14 @@ def _share_of_row(rows: Dataset, fit: Fit) -> float:
 def _with_payload_at_target(arm: CalibratedArm) -> Geometry | None:
     """The geometry with the payload at the final model's target; None where that changes no load of an effect."""
     fit, before = arm.diagnosed.fit, arm.geometry.geometric.model.around
-    loads = any(is_load(name) for a in arm.diagnosed.found.state.active for name in a.effect.covariates)
+    loads = any(is_load(name) for a in arm.diagnosed.stepwise.state.active for name in a.effect.covariates)
     lever = fit.model.frames(fit.theta)[1][0][1].translation
     (payload, *others) = before.payloads
-    if others or payload.on or not (before.loaded and loads and np.linalg.norm(lever - payload.lever) > HANGS):
+    if (
+        others
+        or payload.on
+        or not (before.loaded and loads and np.linalg.norm(lever - payload.lever) > TARGET_SHIFT_OF_CONSTANTS)
+    ):
         return None
     return _with_surroundings(arm.geometry, replace(before, payloads=(replace(payload, lever=lever),)))
 
@@ -181,10 +187,10 @@ def _keep_nominal(question: Question, arm: CalibratedArm, progress: Progress) ->
     progress("the nominal robot predicts held-back rows as well: keeping it")
     frames = recentred(geometry.nominal)
     frames = replace(frames, model=replace(frames.model, around=geometry.geometric.model.around))
-    reason = KEPT_NOMINAL.format(len(np.unique(rows.repeats.configuration[rows.train])))
+    reason = KEPT_NOMINAL_SENTENCE.format(len(np.unique(rows.repeats.configuration[rows.train])))
     free = 1.0 - fit.spent / fit.numbers
     arm = fit_arm(question.without_search(), Geometry(geometry.nominal, frames, reason, free), rows, progress)
-    return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_causes(arm, rows, progress))
+    return replace(arm, diagnosed=model_with_rivals(arm.diagnosed, progress), causes=_causes(arm, rows, progress))
 
 
 def fit_constants(
@@ -232,7 +238,7 @@ def surroundings(question: Question, model: Model, loaded: bool) -> Surroundings
 
 def is_short(fit: Fit) -> bool:
     """True if so few degrees of freedom are left after a fit that no effect can be searched."""
-    return fit.freedom <= LEAST_FREEDOM * fit.numbers
+    return fit.freedom <= LEAST_NUMBERS_LEFT * fit.numbers
 
 
 def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
@@ -251,7 +257,7 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
         data: N rows.
     """
     in_use = ~larger.outliers
-    if larger.numbers > PLENTY * len(larger.theta) or len(larger.theta) == len(smaller.theta):
+    if larger.numbers > PLENTY_OF_NUMBERS * len(larger.theta) or len(larger.theta) == len(smaller.theta):
         return True
     part = data.select(in_use)
     squares = [_held_back_squares(fit, part) for fit in (smaller, larger)]
@@ -268,11 +274,11 @@ def _held_back_squares(fit: Fit, data: Dataset) -> np.ndarray:
     solution without it differs by :math:`-(\Lambda - H_b)^{-1} g_b`: at the optimum all pulls together are zero.
     """
     question = problem(fit.model, data)
-    pieces = [(r, J) for _, r, J in eliminated(question, fit.theta, np.ones(len(data)), fit.sigma)]
+    pieces = [(r, J) for _, r, J in reduced_stretches(question, fit.theta, np.ones(len(data)), fit.sigma)]
     r, J = (np.concatenate(stacked) for stacked in zip(*pieces, strict=True))
-    together = held_together(data)
+    together = held_back_groups(data)
     number = np.random.default_rng(2).permutation(int(together.max()) + 1)
-    block = number[together] % BLOCKS
+    block = number[together] % JUDGING_FOLDS
     parts, K = columns(data.channels), J.shape[2]
     residual = r.copy()
     for k in np.unique(block) if K else ():  # where all frames are known nothing was fitted
@@ -308,4 +314,4 @@ def structured_notices(causes: NoiseCauses | None) -> list[str]:
         else f"the {name} error {looks[kind]}, but comes back at neighbouring rows: it is no noise"
         for kind, name in causes.structured
     ]
-    return [*notices, WITNESSES.format(causes.shared)] if causes.shared > SEVERAL else notices
+    return [*notices, TOO_FEW_NUMBERS.format(causes.shared)] if causes.shared > SEVERAL else notices

@@ -18,65 +18,72 @@ from scipy.linalg import block_diag
 
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import Problem, problem
-from aridcal.engine.fit.scatter import Scatter, conditioned, covariances, told_modes
+from aridcal.engine.fit.scatter import Scatter, covariances, determined_modes, scatter_near
 from aridcal.engine.fit.shared_readings import Stack, representative, stack, standstills, with_things
 from aridcal.engine.fit.variance_components import (
     Components,
-    asked_for,
+    add_component,
+    drop_components,
     estimate,
+    gain_is_real,
     highest,
-    instead,
-    needed,
-    one_more,
     promised,
+    replace_components,
     roughly_without,
+    score_tests,
     settled,
     std_of_sigma,
     with_one,
-    without,
 )
 from aridcal.engine.instruments.channels import Channel, columns, spread
-from aridcal.engine.levels import FEWEST_ROWS, STRONG, SURELY
+from aridcal.engine.levels import FEWEST_NOISE_ROWS, STRONG, SURELY
 from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset, factors
-from aridcal.engine.search.diagnose import SEARCHED
+from aridcal.engine.search.diagnose import MOST_SEARCHED_ROWS
 from aridcal.engine.search.exact import GAUGE
-from aridcal.engine.search.linear_model import Active
-from aridcal.engine.search.noise_hypotheses import Asked, Kind, possible, shaped, stretched, there
-from aridcal.engine.search.noise_shapes import SHAPES, Seen, Shape, aimed, nearby, shapes_of
+from aridcal.engine.search.linear_model import ActiveEffect
+from aridcal.engine.search.noise_hypotheses import (
+    HypothesisKind,
+    NoiseHypothesis,
+    measured_mask,
+    possible,
+    shaped,
+    stretched,
+)
+from aridcal.engine.search.noise_shapes import SHAPES, NoiseShape, TargetPoses, aimed, nearby, shapes_of
 from aridcal.engine.search.noise_tests import neighbours
 from aridcal.system.progress import SILENT, Progress
 
-MATTERS = 0.05
+LEAST_CAUSE_SHARE = 0.05
 """Share of a channel's variance, at the row where it is largest, from which causes beyond the channels change the weights:
 less changes them by less than people know their instrument."""
 
-REPEATABLE = 0.5
+REPEATABLE_SHARE = 0.5
 """Share of a joint's scatter that comes back at neighbouring rows from which it is no noise but an error curve, or play: half."""
 
-UNSURE = 1.25
+UNSURE_FACTOR = 1.25
 """Work: Times by which something may be more or less than it takes to say so, and is looked at again at variances that have
 settled."""
 
-ASKED = 800
+MOST_ROWS_OF_CAUSES = 800
 """Work: Rows that are asked at the most, of more: a sigma of three numbers a row is then known to 1.5 %, and every trial costs
 as many as there are."""
 
 CHALLENGERS = 4
 """Work: Rivals of a named cause that are tried at the most, those that the residual asks for most without it."""
 
-NEAR = 0.7
+NEAR_SCORE_SHARE = 0.7
 """Work: Share of the largest score from which a rival is looked at: gains go by its square, and are half as large at least."""
 
-LOOSE = 5.0
+RIVAL_MARGIN = 5.0
 """Work: [nat] by which a rival may be worse, by a bound on the likelihood, to be tried: the bound holds the columns as they
 are."""
 
-STEPS = (0.1, 0.03)
+SHAPE_STEPS = (0.1, 0.03)
 """Work: Shares of its size by which the numbers of a shape are moved to see whether it explains more so: the first is a
 fraction of what shapes that are tried are apart, the last what a thousand rows tell of a direction."""
 
-SETTLED = 0.1
+LEAST_MOVE_GAIN = 0.1
 """Work: [nat] that such a move must gain at the least."""
 
 WEAK = 30.0
@@ -86,7 +93,7 @@ the same again is left for columns that would fit anew. Judgement."""
 IN_WORLD = ("range", "direction", "depth", "bearing")
 """Forms that noise may have in the world's axes."""
 
-ROUNDS = 2
+RIVAL_ROUNDS = 2
 """Work: Times that named causes meet their rivals at the most: once is usual."""
 
 
@@ -108,13 +115,13 @@ class NoiseCause:
         rivals: Causes that explain the scatter as well in its place: the rows do not tell them apart.
     """
 
-    kind: Kind
+    kind: HypothesisKind
     name: str
     unit: str
     value: float
     std: float
     share: np.ndarray
-    shape: Shape | None = None
+    shape: NoiseShape | None = None
     rivals: tuple[NoiseCause, ...] = ()
 
 
@@ -134,7 +141,7 @@ class NoiseCauses:
 
     causes: tuple[NoiseCause, ...]
     total: np.ndarray
-    structured: tuple[tuple[Kind, str], ...]
+    structured: tuple[tuple[HypothesisKind, str], ...]
     relative: np.ndarray | None
     shared: float
 
@@ -155,7 +162,7 @@ class NoiseCauses:
 
 
 # A cause that explains the scatter as well as another, the maximum with it instead, and its number there.
-Tie = tuple[Asked, Components, int]
+Tie = tuple[NoiseHypothesis, Components, int]
 
 
 @dataclass(frozen=True)
@@ -172,9 +179,9 @@ class _Inquiry:
         orders: Pairs of neighbouring rows, and of neighbouring standstills.
     """
 
-    causes: tuple[Asked, ...]
+    causes: tuple[NoiseHypothesis, ...]
     scatter: Scatter
-    targets: Seen
+    targets: TargetPoses
     channels: tuple[Channel, ...]
     rows: Dataset
     still: Stack
@@ -217,7 +224,7 @@ class _Inquiry:
             inquiry = inquiry.with_shape(k, some[0])
         return inquiry
 
-    def shapes(self, maximum: Components) -> dict[int, list[Shape]]:
+    def shapes(self, maximum: Components) -> dict[int, list[NoiseShape]]:
         """Shapes fitted to the residual at a maximum, by the cause, for causes with a shape that are not in the model."""
         at = [k for k, cause in enumerate(self.causes) if cause.shape is not None]
         if maximum.free[at].all():
@@ -229,7 +236,7 @@ class _Inquiry:
         every = aimed(self.targets, self.channels, residual, pull, kernel)
         return {k: some for k, some in zip(at, every, strict=True) if not maximum.free[k]}
 
-    def with_shape(self, k: int, shape: Shape) -> _Inquiry:
+    def with_shape(self, k: int, shape: NoiseShape) -> _Inquiry:
         """The inquiry with another shape of cause k."""
         cause = shaped(shape, self.targets)
         blocks = self.scatter.blocks.copy()
@@ -246,17 +253,17 @@ class _Inquiry:
         if shape is None:
             return self, maximum
 
-        def likeliest(shapes: Iterable[Shape]) -> tuple[float, Shape]:
+        def likeliest(shapes: Iterable[NoiseShape]) -> tuple[float, NoiseShape]:
             return max(((self._height_with(maximum, k, other), other) for other in shapes), key=itemgetter(0))
 
         height, shape = likeliest([shape, *self.shapes(roughly_without(self.scatter, maximum, this)).get(k, [])])
-        for step in STEPS if shape.free else ():  # else no number of the shape was fitted to the residual
-            while (better := likeliest(nearby(shape, step, self.targets)))[0] > height + SETTLED:
+        for step in SHAPE_STEPS if shape.free else ():  # else no number of the shape was fitted to the residual
+            while (better := likeliest(nearby(shape, step, self.targets)))[0] > height + LEAST_MOVE_GAIN:
                 height, shape = better
         reshaped = self.with_shape(k, shape)
         return reshaped, with_one(reshaped.scatter, maximum, k, float(maximum.variance[k]))
 
-    def _height_with(self, maximum: Components, k: int, shape: Shape) -> float:
+    def _height_with(self, maximum: Components, k: int, shape: NoiseShape) -> float:
         """The bound about a maximum where cause k has another shape, less the price of that shape."""
         free = np.flatnonzero(maximum.free)
         blocks = self.scatter.blocks[free]
@@ -267,7 +274,7 @@ class _Inquiry:
     def comes_back(self, maximum: Components, k: int) -> tuple[bool, Components]:
         """True if errors of cause k repeat at neighbouring rows, so that it is no noise; and the maximum, settled if need be."""
         share = self._share_repeated(maximum, k)
-        if 1.0 / UNSURE < share < UNSURE:
+        if 1.0 / UNSURE_FACTOR < share < UNSURE_FACTOR:
             maximum = settled(self.scatter, maximum)
             share = self._share_repeated(maximum, k)
         return share > 1.0, maximum
@@ -290,14 +297,14 @@ class _Inquiry:
             information = root.transpose(0, 2, 1) @ kernel @ root
             for a, b in (pairs.T for pairs in self.orders[cause.common]):
                 product = np.einsum("nd,nd->n", score[a], score[b])
-                whole = REPEATABLE * float(maximum.variance[k] * np.sum(information[a] * information[b]))
+                whole = REPEATABLE_SHARE * float(maximum.variance[k] * np.sum(information[a] * information[b]))
                 chance = SURELY * float(np.sqrt(product @ product))
                 most = max(most, float(product.sum()) / max(whole, chance, TINY))
         return most
 
 
 def noise_causes(
-    fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT, shapes: bool = True
+    fit: Fit, active: Sequence[ActiveEffect], rows: Dataset, progress: Progress = SILENT, shapes: bool = True
 ) -> NoiseCauses | None:
     """The causes of the scatter; None if there are too few rows to tell.
 
@@ -310,15 +317,15 @@ def noise_causes(
     """
     question = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
-    some = representative(question, train, ASKED if shapes else SEARCHED)
-    if len(some) < FEWEST_ROWS:
+    some = representative(question, train, MOST_ROWS_OF_CAUSES if shapes else MOST_SEARCHED_ROWS)
+    if len(some) < FEWEST_NOISE_ROWS:
         return None
     part = question.select(some)
     inquiry = _inquiry(part, fit, active, shapes)
     is_channel = inquiry.is_channel
     maximum = estimate(inquiry.scatter, np.maximum(fit.estimated, FLOOR) ** 2, is_channel)
     structured = np.zeros(len(is_channel), dtype=bool)
-    for _ in range(ROUNDS):
+    for _ in range(RIVAL_ROUNDS):
         inquiry, maximum, structured = _add_causes(inquiry, maximum, structured, progress)
         inquiry, maximum, ties = _try_rivals(inquiry, maximum, structured | inquiry.rests(structured))
         if ties is not None:
@@ -328,18 +335,21 @@ def noise_causes(
     return _result(inquiry, maximum, structured, ties or {}, question, fit.theta)
 
 
-def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) -> _Inquiry:
+def _inquiry(part: Problem, fit: Fit, active: Sequence[ActiveEffect], shapes: bool) -> _Inquiry:
     """The inquiry on some rows, no cause beyond the channels in the model."""
     causes, targets = possible(part, fit.theta)
     channels = tuple(channel for channel in part.channels if shapes and channel.name in targets.axes)
     nothing = np.zeros((*causes[0].root.shape[:2], 1))
     for channel in channels:
         # Shapes are fitted as soon as there is a maximum.
-        causes += [Asked(shape.kind, channel.name, shape.unit, nothing, shape) for shape in shapes_of(targets, channel)]
-    still = stack(standstills(part.data), there(part.data))
+        causes += [
+            NoiseHypothesis(shape.kind, channel.name, shape.unit, nothing, shape)
+            for shape in shapes_of(targets, channel)
+        ]
+    still = stack(standstills(part.data), measured_mask(part.data))
     start = np.zeros(len(causes))
     start[: len(part.channels)] = np.maximum(fit.estimated, FLOOR) ** 2
-    scatter = conditioned(_scatter(part, fit, active, causes, still), start)
+    scatter = scatter_near(_scatter(part, fit, active, causes, still), start)
     first = np.unique(still.number, return_index=True)[1]
     near = neighbours(part.data)
     orders = {False: near, True: near if len(first) == len(part.data) else neighbours(part.data.select(first))}
@@ -355,14 +365,14 @@ def _add_causes(
     while True:
         # A cause that would only explain another's misfit is not for any price.
         price = np.where(inquiry.second(maximum), np.inf, inquiry.price)
-        more = one_more(inquiry.scatter, maximum, is_channel, price)
+        more = add_component(inquiry.scatter, maximum, is_channel, price)
         if more is None:
             return inquiry, maximum, structured
         k, maximum = more
         progress.part(int(maximum.free.sum()), len(is_channel), "causes")
         if (maximum.free & single).sum() > 1 and (alike & ~maximum.free).any():
             # One variance in place of several, if it explains as much.
-            fewer = instead(inquiry.scatter, maximum, single, int(np.argmax(alike)))
+            fewer = replace_components(inquiry.scatter, maximum, single, int(np.argmax(alike)))
             k, maximum = (k, maximum) if fewer is None else (int(np.argmax(alike)), fewer)
         inquiry, maximum = inquiry.refined(maximum, k)
         # An error that repeats stays in the model, so that no other cause has to explain it, but it is no noise.
@@ -391,8 +401,8 @@ def _try_rivals(
         cost = float(price[members].sum())
         without_set = roughly_without(scatter, maximum, members)
         if maximum.log_likelihood - without_set.log_likelihood - cost < WEAK:
-            without_set = without(scatter, maximum, members)
-            if not needed(maximum, without_set, cost, is_channel):
+            without_set = drop_components(scatter, maximum, members)
+            if not gain_is_real(maximum, without_set, cost, is_channel):
                 return inquiry, without_set, None
         worth = maximum.log_likelihood - cost
         inquiry_without = inquiry.aimed(without_set)
@@ -417,9 +427,9 @@ def _likely_rivals(inquiry: _Inquiry, base: Components, members: np.ndarray, wor
 
     Shapes of the inquiry are fitted at the maximum without the set; ``worth`` is the log-likelihood with it, less its price.
     """
-    demand = asked_for(inquiry.scatter, base)
-    least = max(worth - base.log_likelihood - LOOSE, 0.0)
-    enough = ~members & ~inquiry.second(base) & (demand.normal > max(NEAR * demand.normal.max(), 0.0))
+    demand = score_tests(inquiry.scatter, base)
+    least = max(worth - base.log_likelihood - RIVAL_MARGIN, 0.0)
+    enough = ~members & ~inquiry.second(base) & (demand.normal > max(NEAR_SCORE_SHARE * demand.normal.max(), 0.0))
     most = [int(k) for k in np.argsort(-demand.normal) if enough[k]][:CHALLENGERS]
     if not most:
         return []
@@ -427,7 +437,9 @@ def _likely_rivals(inquiry: _Inquiry, base: Components, members: np.ndarray, wor
     return [(k, float(demand.variance[k])) for k, gain in zip(most, gains, strict=True) if gain > least]
 
 
-def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence[Asked], still: Stack) -> Scatter:
+def _scatter(
+    part: Problem, fit: Fit, active: Sequence[ActiveEffect], causes: Sequence[NoiseHypothesis], still: Stack
+) -> Scatter:
     """The final model linearised at some rows, by standstills; smooth effects by the modes that the data determine."""
     here = part.agreeing(fit.theta)
     pieces = [here.pieces(fit.theta, block) for block in here.blocks()]
@@ -446,7 +458,7 @@ def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence
         # A prior pulls the modes towards zero.
         y = y + (column @ np.linalg.lstsq(a.modes, fit.theta[numbers], rcond=None)[0]).reshape(n, m)
         if a.effect.smooth:
-            modes = told_modes(column.reshape(n, m, -1), spread(fit.sigma, part.channels))
+            modes = determined_modes(column.reshape(n, m, -1), spread(fit.sigma, part.channels))
             if modes.shape[1] < len(modes):
                 A[:, filled : filled + modes.shape[1]] = column @ modes
                 precision_of_modes = modes.T @ precision_of_modes @ modes
@@ -484,7 +496,7 @@ def _result(
     variances = np.array([_variances_of_channels(variance[k] * causes[k].blocks, inquiry.rows) for k in shown])
     total = np.maximum(variances.sum(axis=0), FLOOR**2)
 
-    def cause(of: Asked, variance: float, std: float, rivals: tuple[NoiseCause, ...] = ()) -> NoiseCause:
+    def cause(of: NoiseHypothesis, variance: float, std: float, rivals: tuple[NoiseCause, ...] = ()) -> NoiseCause:
         value, share = float(np.sqrt(variance)), _variances_of_channels(variance * of.blocks, inquiry.rows) / total
         return NoiseCause(of.kind, of.name, of.unit, value, float(std), share, of.shape, rivals)
 
@@ -502,7 +514,7 @@ def _result(
     )
 
 
-def _of_each_joint(possible: Sequence[Asked]) -> np.ndarray:
+def _of_each_joint(possible: Sequence[NoiseHypothesis]) -> np.ndarray:
     """Components that each cause adds up, shape (C, C): a joint has its own, and that of all joints alike."""
     kinds, units = np.array([p.kind for p in possible]), np.array([p.unit for p in possible])
     each = np.eye(len(possible))
@@ -529,9 +541,9 @@ def _weights(
     causes += [shaped(cause.shape, targets) for cause in inquiry.causes if cause.shape is not None]
     V = np.sum([variance[k] * p.blocks for k, p in enumerate(causes) if noise[k]], axis=0)
     sigma = np.sqrt(variance[inquiry.is_channel])
-    measured, diagonal = there(rows), np.diagonal(V, axis1=1, axis2=2)
+    measured, diagonal = measured_mask(rows), np.diagonal(V, axis1=1, axis2=2)
     of_channels = np.broadcast_to(spread(sigma**2, rows.channels), diagonal.shape)
-    if float(1.0 - (of_channels[measured] / diagonal[measured]).min()) < MATTERS:
+    if float(1.0 - (of_channels[measured] / diagonal[measured]).min()) < LEAST_CAUSE_SHARE:
         return None
     typical = rows.declared(sigma)  # a declared noise stays that of all fits, whatever the channel's own part is
     V += np.where(measured, 0.0, spread(typical**2, rows.channels))[:, :, None] * np.eye(V.shape[1])  # stays as it is

@@ -13,23 +13,25 @@ from typing import Literal
 import numpy as np
 
 from aridcal.engine.fit.problem import Problem, problem, scaled
-from aridcal.engine.fit.residual import moved_by
+from aridcal.engine.fit.residual import scaled_columns
 from aridcal.engine.fit.shared_readings import Stack
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel, columns
 from aridcal.engine.instruments.setup import Block
 from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search import noise_shapes
-from aridcal.engine.search.noise_shapes import Seen, Shape
+from aridcal.engine.search.noise_shapes import NoiseShape, TargetPoses
 
 ALL_ALIKE = "all revolute joints"
 """Name of the cause that readings of all of them scatter alike: rounded to the same digit, or of the same encoder."""
 
-Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeatability"] | noise_shapes.Kind
+HypothesisKind = (
+    Literal["channel", "joint", "joints", "range", "sight", "length", "repeatability"] | noise_shapes.ShapeKind
+)
 
 
 @dataclass(frozen=True)
-class Asked:
+class NoiseHypothesis:
     """A possible cause of scatter.
 
     Attributes:
@@ -40,11 +42,11 @@ class Asked:
         shape: Direction, point or lever of the cause; None where the model alone determines ``root``.
     """
 
-    kind: Kind
+    kind: HypothesisKind
     name: str
     unit: str
     root: np.ndarray
-    shape: Shape | None = None
+    shape: NoiseShape | None = None
 
     @property
     def common(self) -> bool:
@@ -57,7 +59,7 @@ class Asked:
         return np.asarray(self.root @ self.root.transpose(0, 2, 1))
 
     @property
-    def parts(self) -> tuple[Asked, ...]:
+    def parts(self) -> tuple[NoiseHypothesis, ...]:
         """Causes of which each may repeat at neighbouring rows: the joints of ``joints`` one by one, else the cause itself."""
         if self.kind != "joints":
             return (self,)
@@ -71,33 +73,33 @@ class Asked:
         return np.asarray(root @ root.transpose(0, 2, 1))
 
 
-def there(rows: Dataset) -> np.ndarray:
+def measured_mask(rows: Dataset) -> np.ndarray:
     """Which numbers each row measures, shape (N, m) bool."""
     return np.repeat(rows.measures, [channel.size for channel in rows.channels], axis=1)
 
 
-def possible(question: Problem, theta: np.ndarray) -> tuple[list[Asked], Seen]:
+def possible(question: Problem, theta: np.ndarray) -> tuple[list[NoiseHypothesis], TargetPoses]:
     """Every cause that the model alone determines, without the residuals; and the poses of the targets."""
     rows, model = question.data, question.model
     at = np.concatenate([theta, np.zeros(len(model.own_motions))])
     more = problem(model.with_motions(model.own_motions), rows).settled(at)
-    J = moved_by(more, at, len(model.own_motions))
-    units = there(rows)[:, :, None] * np.eye(J.shape[1])
+    J = scaled_columns(more, at, len(model.own_motions))
+    units = measured_mask(rows)[:, :, None] * np.eye(J.shape[1])
     parts = list(zip(rows.channels, columns(rows.channels), strict=True))
-    causes = [Asked("channel", channel.name, channel.unit, units[:, :, part]) for channel, part in parts]
+    causes = [NoiseHypothesis("channel", channel.name, channel.unit, units[:, :, part]) for channel, part in parts]
     moved = J @ model.robot.factors
     for k, (reading, kind) in enumerate(zip(model.robot.readings, model.robot.kinds, strict=True)):
-        causes.append(Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
+        causes.append(NoiseHypothesis("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
     turning = np.array([kind != "prismatic" for kind in model.robot.kinds])
     if turning.sum() > 1:
-        causes.append(Asked("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
+        causes.append(NoiseHypothesis("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
     R, p = more.model.poses(at, more.rows)
     for what, name, unit, root in _roots_of_instruments(rows, p, units):
-        causes.append(Asked(what, name, unit, scaled(root, rows.relative)))
+        causes.append(NoiseHypothesis(what, name, unit, scaled(root, rows.relative)))
     return causes, _targets(rows, R, p, units)
 
 
-def _targets(rows: Dataset, R: np.ndarray, p: np.ndarray, units: np.ndarray) -> Seen:
+def _targets(rows: Dataset, R: np.ndarray, p: np.ndarray, units: np.ndarray) -> TargetPoses:
     """Places and attitudes of the targets, and the axes of all channels that measure these in the world."""
     axes, turned = {}, {}
     for block, channel, part in _channels(rows):
@@ -107,7 +109,7 @@ def _targets(rows: Dataset, R: np.ndarray, p: np.ndarray, units: np.ndarray) -> 
         name = {channel.axes: channel.name for channel in block.channels}
         if block.traits.tracked and {TARGET_POSITION.axes, TARGET_ROTATION.axes} <= name.keys():
             turned[name[TARGET_POSITION.axes]] = name[TARGET_ROTATION.axes]
-    return Seen(R, p, axes, turned)
+    return TargetPoses(R, p, axes, turned)
 
 
 def _channels(rows: Dataset) -> Iterator[tuple[Block, Channel, slice]]:
@@ -116,14 +118,14 @@ def _channels(rows: Dataset) -> Iterator[tuple[Block, Channel, slice]]:
     yield from zip(blocks, rows.channels, columns(rows.channels), strict=True)
 
 
-def shaped(shape: Shape, targets: Seen) -> Asked:
+def shaped(shape: NoiseShape, targets: TargetPoses) -> NoiseHypothesis:
     """Noise of a shape as a possible cause."""
-    return Asked(shape.kind, shape.channel, shape.unit, noise_shapes.root(shape, targets), shape)
+    return NoiseHypothesis(shape.kind, shape.channel, shape.unit, noise_shapes.root(shape, targets), shape)
 
 
 def _roots_of_instruments(
     rows: Dataset, p: np.ndarray, units: np.ndarray
-) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
+) -> Iterator[tuple[HypothesisKind, str, str, np.ndarray]]:
     """Causes of instruments: kind, channel, unit, and root of the covariance, shape (N, m, d).
 
     The model has the targets at p, shape (N, 3), [m]; ``units`` are unit vectors of the numbers of each row, (N, m, m).

@@ -22,16 +22,16 @@ from scipy.linalg import eigh
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
 from aridcal.engine.numerics import FLOOR, TINY
 
-AWAY = (1.5, 2.0, 2.8, 4.0, 8.0)
+INSTRUMENT_DISTANCES = (1.5, 2.0, 2.8, 4.0, 8.0)
 """Work: Distances of an instrument that is looked for, in RMS distances of the targets from their middle: nearer it would stand
 among them, and from farther off its lines of sight are as good as parallel."""
 
-Kind = Literal["direction", "depth", "bearing", "own_axis", "lever"]
-SHAPES: tuple[Kind, ...] = get_args(Kind)
+ShapeKind = Literal["direction", "depth", "bearing", "own_axis", "lever"]
+SHAPES: tuple[ShapeKind, ...] = get_args(ShapeKind)
 
 
 @dataclass(frozen=True)
-class Shape:
+class NoiseShape:
     """The shape of a channel's noise.
 
     Attributes:
@@ -48,7 +48,7 @@ class Shape:
         among: Number of shapes of its kind that it was chosen from.
     """
 
-    kind: Kind
+    kind: ShapeKind
     channel: str
     vector: np.ndarray | None = None
     point: np.ndarray | None = None
@@ -71,7 +71,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Seen:
+class TargetPoses:
     """Poses of the targets of N rows, and the channels that measure them.
 
     Attributes:
@@ -87,7 +87,7 @@ class Seen:
     rotations: dict[str, str]
 
 
-def directed(shape: Shape, targets: Seen) -> np.ndarray:
+def directed(shape: NoiseShape, targets: TargetPoses) -> np.ndarray:
     """Error of the channel's three numbers per unit of the noise, shape (N, 3, d)."""
     if shape.kind == "lever":
         assert shape.vector is not None
@@ -107,13 +107,13 @@ def directed(shape: Shape, targets: Seen) -> np.ndarray:
     return root * ((distances(shape, targets) / shape.typical) ** shape.power)[:, None, None]
 
 
-def root(shape: Shape, targets: Seen) -> np.ndarray:
+def root(shape: NoiseShape, targets: TargetPoses) -> np.ndarray:
     """Error of all numbers of the rows per unit of the noise, shape (N, m, d)."""
     roots = targets.axes[shape.channel] @ directed(shape, targets)
     return roots + targets.axes[targets.rotations[shape.channel]] if shape.kind == "lever" else roots
 
 
-def distances(shape: Shape, targets: Seen) -> np.ndarray:
+def distances(shape: NoiseShape, targets: TargetPoses) -> np.ndarray:
     """Distances of the targets from the shape's point, along its vector if it has one, shape (N,), [m]."""
     assert shape.point is not None
     away = targets.p - shape.point
@@ -129,8 +129,8 @@ def _cross_matrices(v: np.ndarray) -> np.ndarray:
 
 
 def aimed(
-    targets: Seen, channels: Sequence[Channel], residual: np.ndarray, pull: np.ndarray, kernel: np.ndarray
-) -> list[list[Shape]]:
+    targets: TargetPoses, channels: Sequence[Channel], residual: np.ndarray, pull: np.ndarray, kernel: np.ndarray
+) -> list[list[NoiseShape]]:
     """Shapes of each kind and channel fitted to a residual, the best of each kind first.
 
     The kinds are those of :func:`shapes_of`, in its order.
@@ -156,7 +156,7 @@ def aimed(
     return shapes
 
 
-def nearby(shape: Shape, step: float, targets: Seen) -> Iterator[Shape]:
+def nearby(shape: NoiseShape, step: float, targets: TargetPoses) -> Iterator[NoiseShape]:
     """Shapes whose fitted numbers differ by ``step``, a share of their size."""
     for sign in (step, -step):
         for axis in np.eye(3):
@@ -172,31 +172,31 @@ def nearby(shape: Shape, step: float, targets: Seen) -> Iterator[Shape]:
                 yield moved if shape.point is None else sized(moved, targets)
 
 
-def sized(shape: Shape, targets: Seen) -> Shape:
+def sized(shape: NoiseShape, targets: TargetPoses) -> NoiseShape:
     """The shape with the size of its noise stated at the RMS distance of the rows."""
     return replace(shape, typical=max(float(np.sqrt(np.mean(distances(shape, targets) ** 2))), FLOOR))
 
 
-def shapes_of(targets: Seen, channel: Channel) -> list[Shape]:
+def shapes_of(targets: TargetPoses, channel: Channel) -> list[NoiseShape]:
     """One shape of each kind that :func:`aimed` gives for a channel, without fitted numbers."""
-    kinds: list[Kind] = ["direction", "own_axis"]
+    kinds: list[ShapeKind] = ["direction", "own_axis"]
     if channel.axes == TARGET_POSITION.axes:
         kinds += ["depth", "bearing"]
         if channel.name in targets.rotations:
             kinds.append("lever")
-    return [Shape(kind, channel.name) for kind in kinds]
+    return [NoiseShape(kind, channel.name) for kind in kinds]
 
 
 def _shapes_of_channel(
-    targets: Seen, channel: Channel, W: np.ndarray, P: np.ndarray, residual: np.ndarray
-) -> Iterator[list[Shape]]:
+    targets: TargetPoses, channel: Channel, W: np.ndarray, P: np.ndarray, residual: np.ndarray
+) -> Iterator[list[NoiseShape]]:
     """Shapes of each kind, from W = u u' - P and P of the channel's three numbers in each row, shape (N, 3, 3) each."""
     name, p = channel.name, targets.p
     least, most = _extreme_directions(W.sum(axis=0), P.sum(axis=0))
-    yield [Shape("direction", name, most, free=2)]
+    yield [NoiseShape("direction", name, most, free=2)]
     turned = targets.R.transpose(0, 2, 1)
     low, high = _extreme_directions((turned @ W @ targets.R).sum(axis=0), (turned @ P @ targets.R).sum(axis=0))
-    yield [Shape("own_axis", name, high, free=2), Shape("own_axis", name, low, across=True, free=2)]
+    yield [NoiseShape("own_axis", name, high, free=2), NoiseShape("own_axis", name, low, across=True, free=2)]
     if channel.axes != TARGET_POSITION.axes:
         return
     middle = p.mean(axis=0)
@@ -204,17 +204,17 @@ def _shapes_of_channel(
     origin = np.zeros(3)
 
     def from_afar(v: np.ndarray) -> list[np.ndarray]:
-        return [middle + sign * far * spread * v for far in AWAY for sign in (1.0, -1.0)]
+        return [middle + sign * far * spread * v for far in INSTRUMENT_DISTANCES for sign in (1.0, -1.0)]
 
-    depths = [Shape("depth", name, None, origin, power=k) for k in (0, 1, 2)]
-    depths.append(Shape("depth", name, most, origin, power=2, free=2))
-    depths += [Shape("depth", name, None, point, power=2, free=3) for point in from_afar(most)]
-    bearings = [Shape("bearing", name, None, origin, across=True, power=1)]
-    bearings += [Shape("bearing", name, None, point, across=True, power=1, free=3) for point in from_afar(least)]
+    depths = [NoiseShape("depth", name, None, origin, power=k) for k in (0, 1, 2)]
+    depths.append(NoiseShape("depth", name, most, origin, power=2, free=2))
+    depths += [NoiseShape("depth", name, None, point, power=2, free=3) for point in from_afar(most)]
+    bearings = [NoiseShape("bearing", name, None, origin, across=True, power=1)]
+    bearings += [NoiseShape("bearing", name, None, point, across=True, power=1, free=3) for point in from_afar(least)]
     for some in (depths, bearings):
         yield [sized(shape, targets) for shape in some]
     if name in targets.rotations:
-        yield [Shape("lever", name, _lever(targets, name, residual), free=3)]
+        yield [NoiseShape("lever", name, _lever(targets, name, residual), free=3)]
 
 
 def _extreme_directions(S: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -228,7 +228,7 @@ def _extreme_directions(S: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.nd
     return vectors[0], vectors[-1]
 
 
-def _lever(targets: Seen, name: str, residual: np.ndarray) -> np.ndarray:
+def _lever(targets: TargetPoses, name: str, residual: np.ndarray) -> np.ndarray:
     """The lever by which residuals of rotations explain those of positions, in the target's axes, shape (3,), [m].
 
     A body that is read as turned by w has a target that stands off it by l read as moved by w x R l.
@@ -239,7 +239,7 @@ def _lever(targets: Seen, name: str, residual: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.lstsq(columns, moved.ravel())[0])
 
 
-def _merit(shape: Shape, targets: Seen, W: np.ndarray, P: np.ndarray) -> float:
+def _merit(shape: NoiseShape, targets: TargetPoses, W: np.ndarray, P: np.ndarray) -> float:
     """Gain of a shape beside even noise of its channel by a score test, less its price, [nat]."""
     r = directed(shape, targets)
     Pr = P @ r

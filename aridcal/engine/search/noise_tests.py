@@ -14,11 +14,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtr, chdtrc, ndtr
 
-from aridcal.engine.corrections.condition_kinds import SIDE
+from aridcal.engine.corrections.condition_kinds import FEWEST_ROWS_OF_A_SIDE
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import Repeats
+from aridcal.engine.fit.noise import RepeatScatter
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.fit.residual import moved_by
+from aridcal.engine.fit.residual import scaled_columns
 from aridcal.engine.instruments.channels import columns, spread
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.levels import FEWEST_TOGETHER
@@ -26,41 +26,41 @@ from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.progress import SILENT, Progress
 
-SURE = 7e-4
+FALSE_ALARM = 7e-4
 """Chance of a false alarm of each question. There are seven at the most: one of 200 clean campaigns is called structured."""
 
-LEAST = 0.1
+LEAST_STRUCTURE_SHARE = 0.1
 """Share of the variance below which repeatable structure is not worth a word: 5 % of the error."""
 
-NEIGHBOURS = 4
+NEAREST_CONFIGURATIONS = 4
 """Nearest configurations that a row is compared with; they are sought among four times as many rows at the least."""
 
-REACH = 3
+NEIGHBOURING_ROWS = 3
 """Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
 
 SHUFFLES = 400
 """Work: Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
 
-TOGETHER = 2**17
+SHUFFLED_AT_ONCE = 2**17
 """Work: Numbers of residuals that are shuffled at once: they stay in the cache, and few rows take few calls."""
 
-ASKED = 10_000
+MOST_TESTED_ROWS = 10_000
 """Work: Rows that are asked at the most, of more: a correlation of 0.03 shows among so many."""
 
-STRETCHES = 20
+TESTED_STRETCHES = 20
 """Work: Stretches of rows in the order of measurement that those are: 500 rows on end show what changes fast, twenty of these
 what changes slowly."""
 
-FELT = 1e-9
+LEAST_LEVER_SHARE = 1e-9
 """Work: Share of its largest lever below which a joint moves the target in none of a row's numbers."""
 
-Question = Literal[
+NoiseQuestion = Literal[
     "repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags", "thing", "groups"
 ]
 
 
 @dataclass(frozen=True)
-class View:
+class ResidualView:
     """Residuals in some axes, or along one joint's own motion.
 
     Attributes:
@@ -83,7 +83,7 @@ class Clue:
         p_value: Chance of so clear a result if the residual were white.
     """
 
-    question: Question
+    question: NoiseQuestion
     what: str
     share: float
     p_value: float
@@ -91,13 +91,13 @@ class Clue:
     @property
     def tells(self) -> bool:
         """True if the test shows structure worth a word."""
-        return self.p_value < SURE and self.share > LEAST
+        return self.p_value < FALSE_ALARM and self.share > LEAST_STRUCTURE_SHARE
 
 
 def clues(
     rows: Dataset,
     residual: np.ndarray,
-    repeats: Repeats | None,
+    repeats: RepeatScatter | None,
     freedom: float,
     fit: Fit | None = None,
     progress: Progress = SILENT,
@@ -116,11 +116,11 @@ def clues(
     residual = np.nan_to_num(residual)
     white = residual / spread(sigma, rows.channels)
     clues_found = [_repeats(repeats, sigma)] if repeats is not None else []
-    if len(white) > 4 * NEIGHBOURS:
-        some = stretches(rows.sequence, ASKED)
+    if len(white) > 4 * NEAREST_CONFIGURATIONS:
+        some = stretches(rows.sequence, MOST_TESTED_ROWS)
         part = rows if len(some) == len(rows) else rows.select(some)
         others = _other_views(part, residual[some], sigma, fit) if fit else []
-        views = [View("in world axes", white[some]), *others]
+        views = [ResidualView("in world axes", white[some]), *others]
         clues_found.append(_neighbours(views, part.readings))
         each = "measurements" if "time" in part.covariates else "rows"
         order = part.sequence
@@ -134,7 +134,7 @@ def clues(
 
 
 def stretches(sequence: np.ndarray, most: int) -> np.ndarray:
-    """Ascending row numbers: all, or of many rows :data:`STRETCHES` stretches on end, spread evenly.
+    """Ascending row numbers: all, or of many rows :data:`TESTED_STRETCHES` stretches on end, spread evenly.
 
     Args:
         sequence: Numbers of the N rows in the order of measurement, shape (N,).
@@ -142,8 +142,8 @@ def stretches(sequence: np.ndarray, most: int) -> np.ndarray:
     """
     if len(sequence) <= most:
         return np.arange(len(sequence))
-    length = most // STRETCHES
-    first = np.linspace(0, len(sequence) - length, STRETCHES).round().astype(int)
+    length = most // TESTED_STRETCHES
+    first = np.linspace(0, len(sequence) - length, TESTED_STRETCHES).round().astype(int)
     return np.sort(sequence[(first[:, None] + np.arange(length)).ravel()])
 
 
@@ -162,7 +162,9 @@ def _things(rows: Dataset, white: np.ndarray) -> list[Clue]:
     numbers = np.sum(white != 0.0, axis=1)
     square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
     count, square_sum = np.bincount(thing), np.bincount(thing, square)
-    candidates = np.flatnonzero((count >= FEWEST_TOGETHER) & (len(thing) - count >= 4 * NEIGHBOURS)).tolist()
+    candidates = np.flatnonzero(
+        (count >= FEWEST_TOGETHER) & (len(thing) - count >= 4 * NEAREST_CONFIGURATIONS)
+    ).tolist()
     if not candidates:
         return []
     from scipy.stats import mannwhitneyu  # slow to load, and only several things need it
@@ -187,7 +189,7 @@ def rms_of_channels(residual: np.ndarray, rows: Dataset) -> np.ndarray:
     )
 
 
-def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fit) -> list[View]:
+def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fit) -> list[ResidualView]:
     """Residuals in the target's axes, and along each joint's own motion.
 
     With J a joint's column and r the residual of a row, both in sigmas, J'r / |J| is the part of r along that motion: white
@@ -202,18 +204,18 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
         R, _ = question.model.poses(theta, question.rows)
         parts = columns(rows.channels)
         turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
-        views.append(View("in the target's axes", turned / scale))
-    J = moved_by(question, theta, len(robot.joints)) / scale[:, None]
+        views.append(ResidualView("in the target's axes", turned / scale))
+    J = scaled_columns(question, theta, len(robot.joints)) / scale[:, None]
     lever = np.linalg.norm(J, axis=1)
     along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
     for k, name in enumerate(robot.names):
-        felt = lever[:, k] > FELT * lever.max()
+        felt = lever[:, k] > LEAST_LEVER_SHARE * lever.max()
         if felt.all():
-            views.append(View(f"as a motion of {name}", along[:, k, None] / np.sqrt(np.mean(along[:, k] ** 2))))
+            views.append(ResidualView(f"as a motion of {name}", along[:, k, None] / np.sqrt(np.mean(along[:, k] ** 2))))
     return views
 
 
-def _repeats(repeats: Repeats, sigma: np.ndarray) -> Clue:
+def _repeats(repeats: RepeatScatter, sigma: np.ndarray) -> Clue:
     """Is the residual larger than the scatter of repeats, which is the noise without errors of the model?"""
     numbers = float(repeats.freedom.sum())
     share = float(np.clip(1.0 - np.nansum(repeats.freedom * repeats.sigma**2 / sigma**2) / numbers, 0.0, 1.0))
@@ -221,7 +223,7 @@ def _repeats(repeats: Repeats, sigma: np.ndarray) -> Clue:
     return Clue("repeats", "repeats scatter less than the residual", share, p_value)
 
 
-def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
+def _neighbours(views: Sequence[ResidualView], readings: np.ndarray) -> Clue:
     """Do rows at near configurations err alike?"""
     rows, others = _nearest(readings)
     apart = rows != others  # among equal rows the nearest need not be the row itself
@@ -247,23 +249,25 @@ def _moving_joints(readings: np.ndarray) -> np.ndarray:
 
 
 def _nearest(readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each row, and its :data:`NEIGHBOURS` nearest, in standard deviations of each joint's readings, shape (pairs,) each."""
+    """Each row, and its :data:`NEAREST_CONFIGURATIONS` nearest, by readings in standard deviations; shape (pairs,) each."""
     points = readings[:, _moving_joints(readings)]
     points = points / points.std(axis=0)
-    near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
-    return np.repeat(np.arange(len(points)), NEIGHBOURS), near.ravel()
+    near = np.asarray(cKDTree(points).query(points, k=NEAREST_CONFIGURATIONS + 1)[1])[:, 1:]
+    return np.repeat(np.arange(len(points)), NEAREST_CONFIGURATIONS), near.ravel()
 
 
 def _successors(order: np.ndarray) -> np.ndarray:
-    """Pairs of rows that are at most :data:`REACH` apart in an order of shape (N,)."""
-    return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
+    """Pairs of rows that are at most :data:`NEIGHBOURING_ROWS` apart in an order of shape (N,)."""
+    return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, NEIGHBOURING_ROWS + 1)])
 
 
-def _correlation(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
+def _correlation(
+    question: NoiseQuestion, what: str, views: Sequence[ResidualView], first: np.ndarray, second: np.ndarray
+) -> Clue:
     """Correlation of pairs of rows, first and second of each, shape (pairs,), against its distribution over all orders."""
     white, starts = _side_by_side(views)
     sums = np.add.reduceat(np.einsum("nm,nm->m", white[first], white[second]), starts)
-    mean, deviation = np.array([by_chance(view.white, first, second) for view in views]).T
+    mean, deviation = np.array([chance_moments(view.white, first, second) for view in views]).T
     z = (sums - mean) / np.maximum(deviation, TINY)
     best = int(np.argmax(z))
     p_value = min(1.0, len(views) * float(ndtr(-z[best])))
@@ -271,7 +275,7 @@ def _correlation(question: Question, what: str, views: Sequence[View], first: np
     return Clue(question, f"{what} {views[best].words}", float(np.clip(share, 0.0, 1.0)), p_value)
 
 
-def by_chance(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+def chance_moments(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     r"""Mean and standard deviation of the sum of products of pairs of rows, over all orders of the rows.
 
     With W symmetric, half the number of times that rows i and j are a pair, :math:`G = x x^T`, :math:`n_{(k)}` the product of k
@@ -302,13 +306,13 @@ def by_chance(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[flo
     return mean, float(np.sqrt(max(square - mean**2, 0.0)))
 
 
-def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
+def _side_by_side(views: Sequence[ResidualView]) -> tuple[np.ndarray, np.ndarray]:
     """All views in one array, shape (N, columns), and the first column of each."""
     sizes = [view.white.shape[1] for view in views]
     return np.hstack([view.white for view in views]), np.cumsum([0, *sizes[:-1]])
 
 
-def _changes(views: Sequence[View], rows: Dataset, progress: Progress) -> list[Clue]:
+def _changes(views: Sequence[ResidualView], rows: Dataset, progress: Progress) -> list[Clue]:
     """Did the residual jump between two rows? File by file, and in the order of time if that is another one."""
     sequence = rows.sequence
     by_file = sequence[np.argsort(rows.origin.file[sequence], kind="stable")]
@@ -320,7 +324,7 @@ def _changes(views: Sequence[View], rows: Dataset, progress: Progress) -> list[C
     return clues_of_orders
 
 
-def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str, progress: Progress) -> Clue:
+def _change(views: Sequence[ResidualView], rows: Dataset, order: np.ndarray, words: str, progress: Progress) -> Clue:
     r"""The largest step of the mean of any view, over all rows where it might be.
 
     .. math:: x = \max_k \frac{|S_k|^2}{k (1 - k / N)}, \qquad S_k = \sum_{n \le k} (r_n - \bar r)
@@ -332,7 +336,7 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
     white, starts = _side_by_side(views)
     white = white - white.mean(axis=0)
     n = len(white)
-    before = np.arange(min(SIDE, n // 2), n - min(SIDE, n // 2) + 1)
+    before = np.arange(min(FEWEST_ROWS_OF_A_SIDE, n // 2), n - min(FEWEST_ROWS_OF_A_SIDE, n // 2) + 1)
     weight = before * (1.0 - before / n)
 
     # Column by column: sums and maxima run along what lies side by side in memory.
@@ -347,7 +351,7 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
 
     steps = [step[0] for step in statistics(order[None])]
     largest = np.array([step.max() for step in steps])
-    each, drawn = max(TOGETHER // white.size, 1), []
+    each, drawn = max(SHUFFLED_AT_ONCE // white.size, 1), []
     for first in progress.over(range(0, SHUFFLES, each), "shuffles of the rows"):
         orders = np.array([rng.permutation(n) for _ in range(min(each, SHUFFLES - first))])
         drawn.append(np.transpose([step.max(axis=1) for step in statistics(orders)]))

@@ -24,24 +24,24 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.instruments.channels import Channels, columns
-from aridcal.engine.search.grids import Grid, Local, grid_of, local, moved_rows, moving
+from aridcal.engine.search.grids import Grid, LocalValues, grid_of, local, moved_rows, moving_slots
 
-CHUNK = 128
+COLUMNS_PER_CHUNK = 128
 """Work: Columns that are multiplied at once: their Gram matrix stays in the cache."""
 
-PIECE = 24
+COLUMNS_PER_PIECE = 24
 """Work: Columns whose Gram matrix is made: of candidates that are tried one by one all but the diagonal is made in vain, and of
 fewer columns each call costs more than its sums."""
 
-GRID = 4
+LEAST_GRID_CANDIDATES = 4
 """Work: Candidates of the same functions from which they are multiplied as a grid: for fewer it takes as long as their
 columns."""
 
-KEPT = 2**25
+KEPT_NUMBERS = 2**25
 """Work: Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again
 when needed."""
 
-LIMBS = 16
+MOST_ROW_KINDS = 16
 """Work: Kinds of rows, by the constants that move them, up to which each is multiplied by its own: of more each has too few
 rows."""
 
@@ -56,7 +56,7 @@ Flat = tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True)
-class Source:
+class ColumnSource:
     """Functions that make columns; rows in the order of the folds.
 
     Attributes:
@@ -73,7 +73,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Layout:
+class FoldOrder:
     """Rows in the order of their folds, so that each fold is a stretch.
 
     Attributes:
@@ -87,7 +87,7 @@ class Layout:
     starts: np.ndarray
 
     @classmethod
-    def of(cls, fold: np.ndarray, channels: Channels) -> Layout:
+    def of(cls, fold: np.ndarray, channels: Channels) -> FoldOrder:
         """The layout of rows whose folds are numbered, shape (N,)."""
         order = np.argsort(fold, kind="stable")
         different = np.unique(fold)
@@ -154,7 +154,7 @@ class Products:
     Whatever takes a whole design keeps what is of its members. So no order of calls matters but for what is computed again.
     """
 
-    def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, source: Source) -> None:
+    def __init__(self, A: np.ndarray, r: np.ndarray, layout: FoldOrder, source: ColumnSource) -> None:
         """Start with the columns A of the constants, shape (N, m, K), and the residual r, shape (N, m)."""
         self.layout, self.r, self._source = layout, layout.flat(r), source
         self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
@@ -163,7 +163,7 @@ class Products:
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
         self._of_limbs: dict[tuple[Effect | None, bytes], tuple[Flat, np.ndarray]] = {}
-        self._local: dict[tuple[int, ...], Local | None] = {}
+        self._local: dict[tuple[int, ...], LocalValues | None] = {}
         self._moved: dict[int, bytes] = {}
         self._moving: dict[tuple[int, ...], tuple[Flat, np.ndarray | None]] = {}
         self._known: dict[Effect, None] = {}
@@ -172,7 +172,7 @@ class Products:
         self._kept = 0
         self.squares = self._folds(self.r, self.r)
 
-    def made_by(self, source: Source) -> Products:
+    def made_by(self, source: ColumnSource) -> Products:
         """These products, further columns made by a model that has further bases, after those of the model before."""
         more = copy(self)  # what is kept by effects and slots serves both
         more._source = source
@@ -313,13 +313,13 @@ class Products:
             of_grids, (self.chunk(group, rows) for rows, members in others for group in grouped(members))
         ):
             if self._room(chunk.gram.size):
-                room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
+                room = self._room(sum(x.size for x in chunk.columns or ()), KEPT_NUMBERS // 2)
                 stored = chunk if room else replace(chunk, columns=None)
-                for effect, part in placed(chunk.effects):
+                for effect, part in column_places(chunk.effects):
                     self._place[effect] = stored, part
             yield chunk
 
-    def _functions(self, bases: tuple[int, ...]) -> Local | None:
+    def _functions(self, bases: tuple[int, ...]) -> LocalValues | None:
         """Values of functions on knots; None if they are not local."""
         if bases not in self._local:
             self._local[bases] = local(self._source.functions(bases))
@@ -328,7 +328,7 @@ class Products:
     def _slots(self, slots: tuple[int, ...]) -> tuple[Flat, np.ndarray | None]:
         """Columns of some slots in the rows that they move, (n, size, slots) for each channel, and those rows; they are kept."""
         if slots not in self._moving:
-            self._moving[slots] = moving(self._source.slots(slots))
+            self._moving[slots] = moving_slots(self._source.slots(slots))
         return self._moving[slots]
 
     def _grids(
@@ -343,7 +343,9 @@ class Products:
             if effect.smooth and len(slots) == 1:
                 alike.setdefault((bases, moved[effect]), {})[effect] = slots[0]
         grids = [
-            (b, members) for (b, _), members in alike.items() if len(members) >= GRID and self._functions(b) is not None
+            (b, members)
+            for (b, _), members in alike.items()
+            if len(members) >= LEAST_GRID_CANDIDATES and self._functions(b) is not None
         ]
         others: dict[bytes, list[Effect]] = {}
         of_grids = {effect for _, members in grids for effect in members}
@@ -368,7 +370,7 @@ class Products:
         grid = grid_of(*self._slots(tuple(effects.values())), functions)
         return Chunk(tuple(effects), grid.gram(), grid.pull(self.r), {}, None, grid.rows, grid)
 
-    def _room(self, numbers: int, most: int = KEPT) -> bool:
+    def _room(self, numbers: int, most: int = KEPT_NUMBERS) -> bool:
         """True, and the numbers counted, if there is room for so many more."""
         room = self._kept + numbers <= most
         self._kept += numbers if room else 0
@@ -435,7 +437,7 @@ class Products:
         by_row = [y.reshape(len(self.layout.order), -1, y.shape[1]) for y in self.columns(None)]
         moved = np.packbits(np.any([y.any(axis=1) for y in by_row], axis=0), axis=1)
         kinds, number = np.unique(moved, axis=0, return_inverse=True)
-        return [np.flatnonzero(number == k) for k in range(len(kinds))] if 1 < len(kinds) <= LIMBS else []
+        return [np.flatnonzero(number == k) for k in range(len(kinds))] if 1 < len(kinds) <= MOST_ROW_KINDS else []
 
     def _in_rows(self, member: Effect | None, rows: np.ndarray) -> tuple[Flat, np.ndarray]:
         """Columns of a member that are not zero in a limb's rows, in these rows, and their numbers; they are kept."""
@@ -448,11 +450,11 @@ class Products:
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:
-    """Candidates in groups of about :data:`CHUNK` columns."""
+    """Candidates in groups of about :data:`COLUMNS_PER_CHUNK` columns."""
     groups: list[list[Effect]] = []
-    size = CHUNK
+    size = COLUMNS_PER_CHUNK
     for effect in effects:
-        if size + len(effect.coefficients) > CHUNK:
+        if size + len(effect.coefficients) > COLUMNS_PER_CHUNK:
             groups.append([])
             size = 0
         groups[-1].append(effect)
@@ -461,17 +463,17 @@ def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:
 
 
 def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
-    """First column, and one beyond the last, of pieces of whole candidates, about :data:`PIECE` columns each."""
+    """First column, and one beyond the last, of pieces of whole candidates, about :data:`COLUMNS_PER_PIECE` columns each."""
     ends = [0]
     end = 0
     for k, effect in enumerate(effects):
         end += len(effect.coefficients)
-        if end - ends[-1] >= PIECE or k == len(effects) - 1:
+        if end - ends[-1] >= COLUMNS_PER_PIECE or k == len(effects) - 1:
             ends.append(end)
     return list(pairwise(ends))
 
 
-def placed(effects: Sequence[Effect]) -> list[tuple[Effect, slice]]:
+def column_places(effects: Sequence[Effect]) -> list[tuple[Effect, slice]]:
     """Effects with the places of their columns, side by side."""
     return list(zip(effects, places_of([len(e.coefficients) for e in effects]), strict=True))
 

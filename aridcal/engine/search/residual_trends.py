@@ -11,9 +11,9 @@ from scipy.special import chdtrc, ndtr
 from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import problem, scaled
-from aridcal.engine.fit.residual import moved_by
+from aridcal.engine.fit.residual import scaled_columns
 from aridcal.engine.instruments.channels import spread
-from aridcal.engine.levels import FAINT, SLIGHT
+from aridcal.engine.levels import FAINT_LEVER_SHARE, SLIGHT
 from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_tests import rms_of_channels
@@ -28,7 +28,7 @@ FEW_VALUES = 12
 CURVE = 120
 """Drawn: Points of a smooth curve."""
 
-LENGTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
+TREND_LENGTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 """Drawn: Over which a smooth curve may be alike, in shares of the covariate's range: about an octave apart."""
 
 LAGS = 30
@@ -65,7 +65,7 @@ class Trace:
         motion: A joint, for its own axis, or an axis of a channel: ``x y z rx ry rz``.
         unit: ``m`` or ``rad``.
         covariate: A joint, a measured column, or a load.
-        seen: Covariate of the rows that this motion moves, shape (n,).
+        covariate_values: Covariate of the rows that this motion moves, shape (n,).
         centre: Covariate of slices of these rows, shape (B,).
         std: Standard deviation that noise gives the means of the slices, shape (B,).
         at: Covariate at which the smooth curves through the means were evaluated, shape (G,).
@@ -76,7 +76,7 @@ class Trace:
     motion: str
     unit: str
     covariate: str
-    seen: np.ndarray
+    covariate_values: np.ndarray
     centre: np.ndarray
     std: np.ndarray
     at: np.ndarray
@@ -116,13 +116,13 @@ class Traces:
     Attributes:
         joints: Each joint's own motion over its own position.
         strongest: For each joint, load and column, the motion that depends on it most clearly.
-        asked: Number of pairs of a motion and a covariate that these were chosen from.
+        pairs_tested: Number of pairs of a motion and a covariate that these were chosen from.
         order: Residuals in the order of time.
     """
 
     joints: tuple[Trace, ...]
     strongest: tuple[Trace, ...]
-    asked: int
+    pairs_tested: int
     order: Order
 
 
@@ -163,7 +163,7 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progre
         strongest=tuple(
             _strongest(pulls, name, covariates[name]) for name in progress.over(list(covariates), "covariates")
         ),
-        asked=len(pulls) * len(covariates),
+        pairs_tested=len(pulls) * len(covariates),
         order=_order_of_time(after, rows),
     )
 
@@ -184,11 +184,11 @@ def _pulls(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tu
     before_scaled, after_scaled = (np.nan_to_num(scaled(r, rows.relative)) for r in (before, after))
     # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
     sigma = spread(np.maximum(rms_of_channels(after_scaled, rows), FLOOR), rows.channels)
-    J = moved_by(question, theta, len(robot.joints)) / sigma[:, None]
+    J = scaled_columns(question, theta, len(robot.joints)) / sigma[:, None]
     pulls = []
     for k, joint in enumerate(robot.joints):
         lever = np.sum(J[:, :, k] ** 2, axis=1)
-        weight = np.where(lever > FAINT * np.median(lever), lever, 0.0)
+        weight = np.where(lever > FAINT_LEVER_SHARE * np.median(lever), lever, 0.0)
         if weight.any():
             pull_before, pull_after = (
                 np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (before_scaled, after_scaled)
@@ -286,7 +286,7 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
         return np.asarray(variance * (1.0 + d + d**2 / 3.0) * np.exp(-d))
 
     best, curve = -np.inf, np.zeros(len(at))
-    for length in LENGTHS:
+    for length in TREND_LENGTHS:
         K = kernel(m.centre, length) + np.diag(m.std**2)
         pull = np.linalg.solve(K, m.mean)
         likelihood = -0.5 * float(m.mean @ pull + np.linalg.slogdet(K)[1])

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import fdtrc, ndtr
 
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.corrections.labels import STATION
+from aridcal.engine.corrections.labels import LABEL_COLUMN
 from aridcal.engine.corrections.regional_kind import is_local, spread_out
 from aridcal.engine.corrections.sights import is_sight
 from aridcal.engine.fit.normal_equations import (
@@ -28,11 +28,11 @@ from aridcal.engine.fit.normal_equations import (
     last_log_determinant,
     nested_solutions,
 )
-from aridcal.engine.levels import BLOCKS, DOUBT, FOLDS, LENIENT, PRICE, RARE
+from aridcal.engine.levels import CHOOSING_FOLDS, DOUBT, JUDGING_FOLDS, LENIENT, PRICE, RARE
 from aridcal.engine.numerics import ROUNDS, TINY
 from aridcal.engine.search.change_points import walk_instead
 from aridcal.engine.search.evidence import Score, price, shaped, smooth_tail, solve, tail, with_noise
-from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.screening import score_all
 from aridcal.engine.search.sets import Choices
 from aridcal.engine.search.state import State, activate, by_fold, with_candidate, with_columns
@@ -40,14 +40,14 @@ from aridcal.engine.search.state import State, activate, by_fold, with_candidate
 ALPHA = 3e-4
 """Chance that a clean campaign shows any effect at all, by these tests alone: one in three thousand."""
 
-LEAST = 1e-2
+LEAST_ERROR_SHARE = 1e-2
 """Share of the squared error, on rows held back, that an effect must take away to matter: 0.5 % of the error."""
 
-EXACTLY = 50
+EXACT_RANK_LOSSES = 50
 """Work: Losses up to which chance of their signed ranks is counted out; more are normal to a tenth of the chance, as SciPy has
 it."""
 
-SHAPED = 0.02
+SHAPE_CHANGE_AT_END = 0.02
 """Work: Change of the logarithm of the noise that ends this, and below which what it leaves free of a prior is not found
 anew."""
 
@@ -99,7 +99,7 @@ def _noise_with(state: State, equations: NormalEquations, precision: np.ndarray)
     before = state.solution
     beta, spent = added(equations, precision, before.inverse, before.spent, before.sigma)
     sigma, likelihood = with_noise(equations, precision, before.sigma, beta, spent)
-    if np.all(np.abs(np.log(sigma / before.sigma)) < SHAPED):
+    if np.all(np.abs(np.log(sigma / before.sigma)) < SHAPE_CHANGE_AT_END):
         return sigma, likelihood
     after = solve(equations, precision, sigma)  # degrees of freedom beside priors depend on the noise
     return after.sigma, after.likelihood
@@ -112,7 +112,7 @@ def _refined_smooth(state: State, effect: Effect, rough: Score) -> Score:
         candidate = activate(state, effect, score)
         equations, precision = total.combined(candidate.modes), block_diag(state.precision, candidate.precision)
         sigma, likelihood = _noise_with(state, equations, precision)
-        if score.sigma is not None and abs(np.log(score.sigma[0] / sigma[0])) < SHAPED:
+        if score.sigma is not None and abs(np.log(score.sigma[0] / sigma[0])) < SHAPE_CHANGE_AT_END:
             break
         score = shaped(total, state.precision, effect.shape, sigma)
     # The determinant of the marginal likelihood: the volume that its modes may still fill counts against it.
@@ -150,11 +150,11 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
     share = float(1.0 - loss[1].sum() / loss[0].sum())
     cause = (effect.kind, effect.where, effect.at)
     is_active = any((a.effect.kind, a.effect.where, a.effect.at) == cause for a in state.active)
-    if share < (0.0 if is_active or siblings else LEAST):
+    if share < (0.0 if is_active or siblings else LEAST_ERROR_SHARE):
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
     if model.thing is not None and _is_at_several_things(model, effect):
-        whole = held_back(state, candidate, model.thing[state.used]).sum(axis=(1, 2))
+        whole = held_back_errors(state, candidate, model.thing[state.used]).sum(axis=(1, 2))
         if whole[1] > whole[0]:
             return judgement(share, "does not hold at places that were held back whole")
     if held_out_whole(state, candidate) <= 0.0:
@@ -181,19 +181,19 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
     return judgement(share, "")
 
 
-def held_out_whole(state: State, candidate: Active) -> float:
+def held_out_whole(state: State, candidate: ActiveEffect) -> float:
     """Share of the squared error that a constant by region takes off regions held back whole; 1 of all else.
 
     A constant along a rail is said to hold between the rows that were measured, and must show that; a field in space, or what
     single labels deviate by, says nothing but where its rows are.
     """
     effect = candidate.effect
-    if not KINDS[effect.kind].asked or is_local(effect):
+    if not EFFECT_KINDS[effect.kind].on_request or is_local(effect):
         return 1.0
     places = np.column_stack([state.model.table[name][state.used] for name in effect.covariates])
-    middles, _ = spread_out(places, BLOCKS)
+    middles, _ = spread_out(places, JUDGING_FOLDS)
     part = np.argmin(np.linalg.norm(places[:, None] - middles, axis=2), axis=1)
-    without, with_it = held_back(state, candidate, part).sum(axis=(1, 2))
+    without, with_it = held_back_errors(state, candidate, part).sum(axis=(1, 2))
     return float(1.0 - with_it / without)
 
 
@@ -204,7 +204,7 @@ def _is_at_several_things(model: LinearModel, effect: Effect) -> bool:
     return effect.at is None and len(np.unique(model.thing[there])) > 1
 
 
-def _best_function(state: State, candidate: Active) -> np.ndarray:
+def _best_function(state: State, candidate: ActiveEffect) -> np.ndarray:
     """Coefficients of the function that fits best for a smooth candidate, shape (d, 1): few rows determine a narrow map."""
     total, precision = with_candidate(state, candidate)
     beta = solve(total, precision, state.solution.sigma).beta[len(state.precision) :]
@@ -213,17 +213,17 @@ def _best_function(state: State, candidate: Active) -> np.ndarray:
 
 def sources(effect: Effect) -> list[str]:
     """Covariates of an effect, loads by the joint that bears them; without places of the target and labels."""
-    named = (name for name in effect.covariates if not is_sight(name) and name != STATION)
+    named = (name for name in effect.covariates if not is_sight(name) and name != LABEL_COLUMN)
     return [name.split(".")[0] if ".gravity_" in name else name for name in named]
 
 
-def _p_value_over_time(state: State, candidate: Active) -> float:
+def _p_value_over_time(state: State, candidate: ActiveEffect) -> float:
     """p-value of an effect on a column that the user does not control, when rows of one stretch of time may err together."""
     run = np.unique(state.model.run[state.used], return_inverse=True)[1]
     if not candidate.effect.smooth:
         return _p_value_of_clusters(state, candidate.effect, np.eye(len(candidate.effect.coefficients)), run)
     # It may have more freedom than there are stretches: whole stretches are held back instead.
-    loss = held_back(state, candidate, run % FOLDS).sum(axis=1)
+    loss = held_back_errors(state, candidate, run % CHOOSING_FOLDS).sum(axis=1)
     return _p_value_of_losses(np.array([np.bincount(run, each) for each in loss]))
 
 
@@ -242,7 +242,7 @@ def signed_ranks(values: np.ndarray) -> float:
 
     is normal (Wilcoxon 1945; ties: Pratt and Gibbons, Concepts of Nonparametric Theory, Springer 1981).
     """
-    few = len(values) <= EXACTLY
+    few = len(values) <= EXACT_RANK_LOSSES
     values = values[values != 0.0]
     _, number, ties = np.unique(np.abs(values), return_inverse=True, return_counts=True)
     rank = (np.cumsum(ties) - 0.5 * (ties - 1))[number]
@@ -258,7 +258,7 @@ def signed_ranks(values: np.ndarray) -> float:
     return float(ndtr(-above / np.sqrt(max(spread, TINY))))
 
 
-def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
+def held_back_errors(state: State, candidate: ActiveEffect, part: np.ndarray) -> np.ndarray:
     """Squared error in sigmas of each row in use when the rows of its part are held back, without and with a candidate.
 
     Args:
@@ -278,8 +278,8 @@ def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
     return held_back_squares(state, design, total, precision, sigma, part, masks)
 
 
-def held_back_folds(state: State, candidate: Active) -> np.ndarray:
-    r"""As :func:`held_back` with the folds as parts, from sums that are there already, shape (2, C, n).
+def held_back_folds(state: State, candidate: ActiveEffect) -> np.ndarray:
+    r"""As :func:`held_back_errors` with the folds as parts, from sums that are there already, shape (2, C, n).
 
     One factorisation serves both: with the candidate's columns last, its leading block is that of the model without them.
     """

@@ -24,7 +24,7 @@ from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.fit.normal_equations import conditional, inverse
 from aridcal.engine.search.evidence import Score, scores
 from aridcal.engine.search.linear_model import LinearModel
-from aridcal.engine.search.products import grouped, placed
+from aridcal.engine.search.products import column_places, grouped
 from aridcal.engine.search.state import State
 from aridcal.system.progress import SILENT, Progress
 
@@ -100,7 +100,7 @@ def _project(
         M = CC - T.reshape(len(CC), d, -1) @ CA.reshape(len(CC), d, -1).transpose(0, 2, 1)
         there = [
             (effect, columns, M[0, columns, columns] if chunk.grid is None else M[k])
-            for k, (effect, columns) in enumerate(placed(chunk.effects))
+            for k, (effect, columns) in enumerate(column_places(chunk.effects))
             if effect in candidates
         ]
         done += len(there)

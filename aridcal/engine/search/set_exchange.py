@@ -11,24 +11,24 @@ from collections.abc import Callable, Iterator, Sequence
 
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.levels import STRONG
-from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.ranking import rank, with_flags
 from aridcal.engine.search.sets import Choices, evidence_of_set, family
 from aridcal.engine.search.state import State, activate
-from aridcal.engine.search.steps import grown, tidied
+from aridcal.engine.search.steps import grow, tidy
 from aridcal.system.progress import Progress
 
-FEWEST = 4
+FEWEST_EXCHANGED_EFFECTS = 4
 """Work: Effects of a model from which sets are exchanged: of fewer the best is found by exchanging single ones."""
 
-MOST_GROWN = 28
+MOST_GROWN_EFFECTS = 28
 """Work: Effects of such a set at the most: four for each joint of a seven-joint arm, as gears err once and twice a turn at
 each."""
 
-LOWEST = 3
+LOWEST_ORDERS = 3
 """Lowest orders of which all up to each are tried together at all joints: gears and rings err once or twice a turn first."""
 
-TRIED = 3
+GROWN_SETS = 3
 """Work: Sets from which one is grown, those with the most evidence as they are: from others one comes back to the set
 before."""
 
@@ -36,7 +36,7 @@ FAMILIES = 4
 """Work: Of which a set is made at the most: what bends, what yields, what turns unevenly, and one more."""
 
 
-def regrown(state: State, choices: Choices, progress: Progress) -> State:
+def regrow_sets(state: State, choices: Choices, progress: Progress) -> State:
     """The best of the sets that are grown from others further away, or the set as it is.
 
     Args:
@@ -44,7 +44,7 @@ def regrown(state: State, choices: Choices, progress: Progress) -> State:
         choices: The candidates.
         progress: Called with the number of sets tried.
     """
-    if sum(not a.declared for a in state.active) < FEWEST:
+    if sum(not a.declared for a in state.active) < FEWEST_EXCHANGED_EFFECTS:
         return state
 
     def evidence(of: State) -> float:
@@ -53,10 +53,10 @@ def regrown(state: State, choices: Choices, progress: Progress) -> State:
     before, curves = evidence(state), _curves(state)
     best, value = state, before
     sets = sorted(_distant_sets(state, choices.library), key=evidence, reverse=True)
-    sets = [*sets[:TRIED], _set_of_families(state, choices.library, evidence)]
+    sets = [*sets[:GROWN_SETS], _set_of_families(state, choices.library, evidence)]
     for trial in progress.over(sets, "sets of effects"):
-        trial = grown(trial, choices, MOST_GROWN, False, progress)[0]
-        trial = tidied(trial, choices, 1, progress)
+        trial = grow(trial, choices, MOST_GROWN_EFFECTS, False, progress)[0]
+        trial = tidy(trial, choices, 1, progress)
         least = before if _curves(trial) < curves else before + STRONG
         if (after := evidence(trial)) > max(value, least):
             best, value = trial, after
@@ -81,7 +81,7 @@ def _distant_sets(state: State, library: Sequence[Effect]) -> Iterator[State]:
         )
         for some in _of_orders(members):
             everywhere = _with_all(without, some)
-            if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= MOST_GROWN:
+            if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= MOST_GROWN_EFFECTS:
                 yield everywhere
 
 
@@ -93,7 +93,7 @@ def _set_of_families(state: State, library: Sequence[Effect], evidence: Callable
     best_set = _without(state, [a.effect for a in state.active if not a.declared])
     for _ in range(FAMILIES):
         trials = [_with_all(best_set, part) for part in parts]
-        allowed = [trial for trial in trials if len(best_set.active) < len(trial.active) <= MOST_GROWN]
+        allowed = [trial for trial in trials if len(best_set.active) < len(trial.active) <= MOST_GROWN_EFFECTS]
         best = max(allowed, key=evidence, default=best_set)
         if evidence(best) <= evidence(best_set):
             break
@@ -105,7 +105,7 @@ def _of_orders(members: Sequence[Effect]) -> Iterator[list[Effect]]:
     """Choices of a family's members: the lowest orders together, and each order by itself."""
     orders = sorted({e.order for e in members})
     lowest = [frozenset(orders[: k + 1]) for k in range(len(orders))]
-    for some in dict.fromkeys([*lowest[:LOWEST], *(frozenset([order]) for order in orders)]):
+    for some in dict.fromkeys([*lowest[:LOWEST_ORDERS], *(frozenset([order]) for order in orders)]):
         yield [e for e in members if e.order in some]
 
 
@@ -116,7 +116,7 @@ def _motion_and_covariates(effect: Effect) -> tuple[object, ...]:
 
 def _with_all(state: State, members: Sequence[Effect]) -> State:
     """The set with all of some effects that have evidence, one of each place and order."""
-    best: dict[tuple[object, ...], Active] = {}
+    best: dict[tuple[object, ...], ActiveEffect] = {}
     for effect, score in rank(state, members):
         if score.gain > 0.0:
             best.setdefault((effect.where, effect.order), activate(state, effect, score))

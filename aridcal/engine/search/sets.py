@@ -13,7 +13,7 @@ from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.fit.normal_equations import inverse
 from aridcal.engine.levels import PRICE, SEVERAL
 from aridcal.engine.numerics import TINY
-from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.state import State, solve_state
 
 Family = tuple[str, tuple[str, ...]]
@@ -60,7 +60,7 @@ class Choices:
         """These choices with some candidates tried alone; they still count as chosen among all."""
         return replace(self, library=tuple(library))
 
-    def siblings(self, active: Sequence[Active], effect: Effect) -> int:
+    def siblings(self, active: Sequence[ActiveEffect], effect: Effect) -> int:
         """Candidates of its family at places without one, where several others of it are in the model; else 0."""
         this_family = family(effect)
         places_taken = {a.effect.where for a in active if family(a.effect) == this_family} - {effect.where}
@@ -69,7 +69,7 @@ class Choices:
         places_free = self.places.get(this_family, frozenset()) - places_taken
         return max(len(places_free), 1) * max(len(self.orders.get(this_family, ())), 1)
 
-    def cost(self, active: Iterable[Active]) -> float:
+    def cost(self, active: Iterable[ActiveEffect]) -> float:
         r"""Minus the logarithm of the prior of a set, [nat]: its families, k of m places of each, and their orders.
 
         .. math:: \sum_{\text{families}} \log F + \log \binom{m}{k} + \log(m + 1)
@@ -85,7 +85,7 @@ class Choices:
                 by_family.setdefault(family(a.effect), []).append(a.effect)
         return sum(self._cost_of(this_family, effects) for this_family, effects in by_family.items())
 
-    def price(self, active: Sequence[Active], more: Active) -> float:
+    def price(self, active: Sequence[ActiveEffect], more: ActiveEffect) -> float:
         """What one more effect adds to the cost, [nat]."""
         return self.cost([*active, more]) - self.cost(active)
 

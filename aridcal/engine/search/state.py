@@ -12,16 +12,16 @@ from scipy.linalg import block_diag
 
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.smooth import samples_root
-from aridcal.engine.fit.flags import flagged
+from aridcal.engine.fit.flags import outlier_rows
 from aridcal.engine.fit.normal_equations import NormalEquations, accumulate, conditional
 from aridcal.engine.fit.normal_equations import solve as solve_equations
 from aridcal.engine.instruments.channels import Channels, flat, spread
 from aridcal.engine.numerics import RIDGE, ROUNDS
 from aridcal.engine.search.evidence import Score, Solution, noise_left, solve
-from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.products import Chunk, Member, places_of
 
-FAINT = 0.02
+FAINT_MODE_SHARE = 0.02
 """Work: A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
 
 
@@ -44,7 +44,7 @@ class State:
     """
 
     model: LinearModel
-    active: tuple[Active, ...]
+    active: tuple[ActiveEffect, ...]
     precision: np.ndarray
     equations: NormalEquations
     solution: Solution
@@ -116,7 +116,7 @@ class State:
         return np.concatenate([first, *(b @ a.modes for b, a in zip(others, self.active, strict=True))], axis=-1)
 
     def fitted_by_place(
-        self, beta: np.ndarray, low: int, high: int, candidate: Active | None = None
+        self, beta: np.ndarray, low: int, high: int, candidate: ActiveEffect | None = None
     ) -> list[np.ndarray]:
         """Values that L solutions give rows at some places of the folds' order, ((high - low) size, L) for each channel.
 
@@ -141,7 +141,9 @@ class State:
         """The effects in the model."""
         return tuple(a.effect for a in self.active)
 
-    def with_active(self, active: Sequence[Active], sigma: np.ndarray | None = None, fixed: bool = False) -> State:
+    def with_active(
+        self, active: Sequence[ActiveEffect], sigma: np.ndarray | None = None, fixed: bool = False
+    ) -> State:
         """Another set of effects in the same model, from the rows and the noise of this one; see :func:`solve_state`."""
         return solve_state(self.model, active, self.solution.sigma if sigma is None else sigma, self.used, fixed)
 
@@ -190,13 +192,13 @@ class State:
         return np.swapaxes(cross, 1, 2), gram, pull
 
 
-def members(model: LinearModel, active: Sequence[Active]) -> tuple[Member, ...]:
+def members(model: LinearModel, active: Sequence[ActiveEffect]) -> tuple[Member, ...]:
     """Members of the design with some effects: the constants, then these."""
     return (model.products.constants, *((a.effect, a.modes) for a in active))
 
 
 def solve_state(
-    model: LinearModel, active: Sequence[Active], sigma: np.ndarray, in_use: np.ndarray, fixed: bool = False
+    model: LinearModel, active: Sequence[ActiveEffect], sigma: np.ndarray, in_use: np.ndarray, fixed: bool = False
 ) -> State:
     """Solve a set of effects, noise and outlier flags with it.
 
@@ -216,13 +218,13 @@ def solve_state(
         solution = solve(equations, precision, sigma)
         residual = _residual(model, active, solution.beta)
         sigma = solution.sigma
-        sound = ~flagged(model.holed(residual), model.channels, model.limit)
+        sound = ~outlier_rows(model.holed(residual), model.channels, model.limit)
         if fixed or np.array_equal(sound, in_use):
             break
     return State(model, tuple(active), precision, equations, solution, residual, in_use, unused, extra)
 
 
-def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquations:
+def _of_all_rows(model: LinearModel, active: Sequence[ActiveEffect]) -> NormalEquations:
     """Sums of a set of effects over all rows, whether in use or not."""
     products = model.products
     AA, Ar = products.sums(members(model, active), together=True)
@@ -231,7 +233,7 @@ def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquation
 
 
 def _in_use(
-    model: LinearModel, active: Sequence[Active], every: NormalEquations, in_use: np.ndarray
+    model: LinearModel, active: Sequence[ActiveEffect], every: NormalEquations, in_use: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...], NormalEquations]:
     """Places and columns of the rows not in use, and the sums without them."""
     products, layout = model.products, model.products.layout
@@ -254,7 +256,7 @@ def columns_at(model: LinearModel, every: Sequence[Member], places: np.ndarray) 
     return tuple(np.hstack(part) for part in zip(*parts, strict=True))
 
 
-def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def by_fold(state: State, candidate: ActiveEffect, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """H of shape (F, P + d, P + d) and g of (F, P + d): sums over the rows in use of each fold, with a candidate added."""
     model, products = state.model, state.model.products
     AA, Ar = state.of_folds
@@ -293,7 +295,7 @@ def without_effect(state: State, effect: Effect) -> State:
     return state.with_active([a for a in state.active if a.effect != effect], sigma, fixed=True)
 
 
-def _residual(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
+def _residual(model: LinearModel, active: Sequence[ActiveEffect], beta: np.ndarray) -> np.ndarray:
     """Residual of every row, shape (N, m), for coefficients beta."""
     K = model.A.shape[2]
     residual = model.r - model.A @ beta[:K]
@@ -302,15 +304,15 @@ def _residual(model: LinearModel, active: Sequence[Active], beta: np.ndarray) ->
     return np.asarray(residual)
 
 
-def activate(state: State, effect: Effect, score: Score) -> Active:
+def activate(state: State, effect: Effect, score: Score) -> ActiveEffect:
     """A candidate with the unknowns to be solved for: those modes of a smooth one that the data determine."""
     if not effect.smooth:
-        return Active(effect, score, np.eye(len(effect.coefficients)), prior=state.model.prior_of(effect))
+        return ActiveEffect(effect, score, np.eye(len(effect.coefficients)), prior=state.model.prior_of(effect))
     chunk, columns = state.model.products.chunk_of(effect)
     gram = np.tensordot(noise_with(state, score) ** -2.0, chunk.of_one(columns), 1)
     root = score.tau * samples_root(effect.shape, score.kernel)
     information, modes = np.linalg.eigh(root.T @ gram @ root)
-    return Active(effect, score, root @ modes[:, information > FAINT])
+    return ActiveEffect(effect, score, root @ modes[:, information > FAINT_MODE_SHARE])
 
 
 def noise_with(state: State, score: Score) -> np.ndarray:
@@ -318,7 +320,7 @@ def noise_with(state: State, score: Score) -> np.ndarray:
     return state.solution.sigma if score.sigma is None else score.sigma
 
 
-def with_candidate(state: State, candidate: Active) -> tuple[NormalEquations, np.ndarray]:
+def with_candidate(state: State, candidate: ActiveEffect) -> tuple[NormalEquations, np.ndarray]:
     """Equations of the model with a candidate added, and the prior precision of all its coefficients."""
     return with_columns(state, candidate.effect).combined(candidate.modes), block_diag(
         state.precision, candidate.precision

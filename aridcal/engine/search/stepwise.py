@@ -8,21 +8,21 @@ from dataclasses import dataclass, replace
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.search.ranking import is_small, with_effect, with_flags
 from aridcal.engine.search.scoring import Judgement, judge, score_of
-from aridcal.engine.search.set_exchange import regrown
+from aridcal.engine.search.set_exchange import regrow_sets
 from aridcal.engine.search.sets import Choices
 from aridcal.engine.search.state import State, without_effect
-from aridcal.engine.search.steps import grown, tidied
+from aridcal.engine.search.steps import grow, tidy
 from aridcal.system.progress import SILENT, Progress
 
-MOST = 14
+MOST_EFFECTS = 14
 """Work: Effects that are added at the most: two for each joint of a seven-joint arm."""
 
-PASSES = 4
+MOST_ADDING_PASSES = 4
 """Work: Times that effects are added and tidied in turn, where that is cheap."""
 
 
 @dataclass(frozen=True)
-class Found:
+class StepwiseResult:
     """The result of a search.
 
     Attributes:
@@ -39,11 +39,11 @@ class Found:
 def search(
     start: State,
     library: Sequence[Effect],
-    most: int = MOST,
+    most: int = MOST_EFFECTS,
     tested: int = 0,
     exchange: bool = True,
     progress: Progress = SILENT,
-) -> Found:
+) -> StepwiseResult:
     """Add effects one at a time, and try again those in the model and those out of it, until no change is worth it.
 
     Where that is cheap, causes of a single motion come first: a cause that moves a frame in several ways explains a part of
@@ -61,36 +61,36 @@ def search(
     most += len(start.active)
     small = is_small(start.model, library)
     if not (small and exchange):
-        state, rejected = grown(start, choices, most, small, progress)
-        state = tidied(state, choices, 1, progress) if exchange else state
-        return Found(state, rejected, choices.count)
+        state, rejected = grow(start, choices, most, small, progress)
+        state = tidy(state, choices, 1, progress) if exchange else state
+        return StepwiseResult(state, rejected, choices.count)
     simple = [e for e in library if len(e.slots) == 1]
     state = _passes(start, choices.only(simple), most, progress)[0] if simple else start
     state, rejected = _passes(state, choices, most, progress)
-    return Found(state, rejected, choices.count)
+    return StepwiseResult(state, rejected, choices.count)
 
 
-def exchanged(result: Found, library: Sequence[Effect], progress: Progress = SILENT) -> Found:
+def exchange_sets(result: StepwiseResult, library: Sequence[Effect], progress: Progress = SILENT) -> StepwiseResult:
     """The result, or one with a better set that single steps do not lead to; such sets are tried where that is cheap."""
     state = result.state
     if not is_small(state.model, library):
         return result
-    return replace(result, state=regrown(state, Choices.of(library, result.tested), progress))
+    return replace(result, state=regrow_sets(state, Choices.of(library, result.tested), progress))
 
 
 def _passes(state: State, choices: Choices, most: int, progress: Progress) -> tuple[State, tuple[Judgement, ...]]:
     """The model with effects added and tidied in turn, until both change nothing."""
     rejected: tuple[Judgement, ...] = ()
-    for _ in range(PASSES):
-        state, rejected = grown(state, choices, most, True, progress)
+    for _ in range(MOST_ADDING_PASSES):
+        state, rejected = grow(state, choices, most, True, progress)
         before = state.effects
-        state = tidied(state, choices, 2, progress)
+        state = tidy(state, choices, 2, progress)
         if state.effects == before:
             break
     return state, rejected
 
 
-def confirmed(state: State, tested: int, progress: Progress = SILENT) -> State:
+def confirm(state: State, tested: int, progress: Progress = SILENT) -> State:
     """The model without the effects that would fail the tests now, tried one after the other.
 
     Args:

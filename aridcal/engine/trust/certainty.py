@@ -10,27 +10,27 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import Repeats
+from aridcal.engine.fit.noise import RepeatScatter
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.tolerance import Kept, beyond, instrument_noise, kept, unjudged
+from aridcal.engine.trust.tolerance import ToleranceAnswer, excess_error, instrument_noise, no_answer, tolerance_answer
 from aridcal.engine.trust.workspace import Knowledge, OpenCombination, Workspace, ends, knowledge, spread_out
 
-CLOUD = 8192
+SLICE_POOL = 8192
 """Work: Configurations among which those of a slice are looked for."""
 
-THICK = 0.06
+SLICE_THICKNESS = 0.06
 """Drawn: Of the reach: half the thickness of a slice. A tenth of all configurations are then in one."""
 
-IN_SLICE = 400
+MOST_SLICE_CONFIGURATIONS = 400
 """Drawn: Configurations of a slice: more would be dots upon dots."""
 
 PLANES = ((0, 2), (0, 1))
 """Axes of the base frame along the slices: a view from the side, and one from above."""
 
 
-LEAST = 128
-"""Configurations, of :data:`aridcal.engine.trust.workspace.SAMPLES`, that must be like measured ones to stand for a range:
-their share that is within a tolerance is then known to 2 %."""
+LEAST_REGION_CONFIGURATIONS = 128
+"""Configurations, of :data:`aridcal.engine.trust.workspace.WORKSPACE_SAMPLES`, that must be like measured ones to stand for a
+range: their share that is within a tolerance is then known to 2 %."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,9 @@ class Certainty:
         region: Over the region that the campaign names, or the whole range seen.
         title: What that region is, in words.
         tool: The point on the target that the region is of, in the target's axes, [m].
-        kept: What the region keeps within: of the position, and of the rotation where that was measured; none where no row
+        tolerances: What the region keeps within: of the position, and of the rotation where that was measured; none where no row
             tells.
-        untold: Combinations of constants that no reading tells, and that move the target.
+        open_combinations: Combinations of constants that no reading tells, and that move the target.
     """
 
     anywhere: Workspace
@@ -68,17 +68,17 @@ class Certainty:
     region: Workspace
     title: str
     tool: tuple[float, float, float]
-    kept: tuple[Kept, ...]
-    untold: tuple[OpenCombination, ...]
+    tolerances: tuple[ToleranceAnswer, ...]
+    open_combinations: tuple[OpenCombination, ...]
 
     @property
     def within(self) -> bool:
         """False where a tolerance was given, and is not kept."""
-        return all(part.within is not False for part in self.kept)
+        return all(part.within is not False for part in self.tolerances)
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Requirement:
     """Requirements on the certainty of the target.
 
     Attributes:
@@ -93,14 +93,14 @@ class Wanted:
 
 
 def certainty(
-    wanted: Wanted,
+    wanted: Requirement,
     fit: Fit,
     rows: Dataset,
     candidates: Sequence[Coefficient],
     where: np.ndarray | None,
     outlier: np.ndarray,
     residual: np.ndarray,
-    repeats: Repeats | None,
+    repeats: RepeatScatter | None,
 ) -> Certainty:
     """Say how well the target is known.
 
@@ -130,12 +130,12 @@ def certainty(
     for turn, of in enumerate(("position", "rotation")):
         tolerance = wanted.tolerance[turn]
         measured = rows.sees_turns or not turn
-        excess = beyond(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if measured else None
-        answer = kept(known_model, region, moves, excess, tolerance, bool(turn))
+        excess = excess_error(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if measured else None
+        answer = tolerance_answer(known_model, region, moves, excess, tolerance, bool(turn))
         if answer is not None:
             answers.append(answer)
         elif tolerance is not None:
-            answers.append(unjudged(of, tolerance))
+            answers.append(no_answer(of, tolerance))
     slices = _slices(known_model, train)
     if any(tool):
         title += f", for the point {', '.join(f'{1e3 * number:g}' for number in tool)} mm from the target"
@@ -156,23 +156,23 @@ def _measured_region(known_model: Knowledge, train: Dataset, tool: Sequence[floa
     """
     readings = spread_out(train.readings.min(axis=0), train.readings.max(axis=0))
     box = known_model.over(train, readings, _like(train, readings), tool)
-    if box.measured.sum() >= LEAST:
+    if box.measured.sum() >= LEAST_REGION_CONFIGURATIONS:
         return box.select(box.measured), "the range that was measured"
-    rows = np.unique(np.linspace(0, len(train) - 1, LEAST).round().astype(int))
+    rows = np.unique(np.linspace(0, len(train) - 1, LEAST_REGION_CONFIGURATIONS).round().astype(int))
     return known_model.over(train, train.readings[rows], rows, tool), "the configurations that were measured"
 
 
 def _slices(known_model: Knowledge, train: Dataset) -> tuple[Slice, ...]:
     """Slices of the whole range of the joints."""
-    readings = spread_out(*ends(train, known_model.fit.model.robot.limits), CLOUD)
+    readings = spread_out(*ends(train, known_model.fit.model.robot.limits), SLICE_POOL)
     like = _like(train, readings)
     cloud = known_model.places(train, readings, like)
     middle = np.median(known_model.places(train, train.readings, np.arange(len(train))), axis=0)
-    thick = THICK * float(np.ptp(cloud, axis=0).max())
+    thick = SLICE_THICKNESS * float(np.ptp(cloud, axis=0).max())
     slices = []
     for axes in PLANES:
         across = 3 - sum(axes)
-        near = np.flatnonzero(np.abs(cloud[:, across] - middle[across]) < thick)[:IN_SLICE]
+        near = np.flatnonzero(np.abs(cloud[:, across] - middle[across]) < thick)[:MOST_SLICE_CONFIGURATIONS]
         if len(near):
             slices.append(Slice(axes, float(middle[across]), known_model.over(train, readings[near], like[near])))
     return tuple(slices)
@@ -184,19 +184,19 @@ def as_document(certain: Certainty) -> dict[str, Any]:
         "whole_range": _spread(certain.anywhere),
         "region": {"of": certain.title, **_spread(certain.region)},
     }
-    for part in certain.kept:
+    for part in certain.tolerances:
         unit = "mrad" if part.of == "rotation" else "mm"
         document["region"][part.of] = {
             f"bound_{unit}": 1e3 * part.bound,
             f"calibration_rms_{unit}": 1e3 * part.calibration,
-            f"beyond_rms_{unit}": 1e3 * part.beyond,
+            f"beyond_rms_{unit}": 1e3 * part.excess,
             **({} if part.tolerance is None else _judged(part, unit)),
             "remarks": list(part.remarks),
         }
     return document
 
 
-def _judged(part: Kept, unit: str) -> dict[str, Any]:
+def _judged(part: ToleranceAnswer, unit: str) -> dict[str, Any]:
     """The answer to a tolerance, and the rows that judge it."""
     return {
         f"tolerance_{unit}": 1e3 * (part.tolerance or 0.0),
@@ -215,13 +215,13 @@ def _judged(part: Kept, unit: str) -> dict[str, Any]:
 
 def _spread(part: Workspace) -> dict[str, Any]:
     """Statistics of some configurations where the target is known, 1-sigma in the worst direction."""
-    sigma = np.where(part.told, part.sigma, np.nan)
-    sigma_mm = 1e3 * sigma[part.told]
+    sigma = np.where(part.observable, part.sigma, np.nan)
+    sigma_mm = 1e3 * sigma[part.observable]
     worst = int(np.nanargmax(sigma)) if len(sigma_mm) else None
     return {
         "configurations": len(part),
         "measured": float(part.measured.mean()),
-        "told": float(part.told.mean()),
+        "told": float(part.observable.mean()),
         "sigma_mm": {
             "median": float(np.median(sigma_mm)) if len(sigma_mm) else None,
             "p95": float(np.percentile(sigma_mm, 95)) if len(sigma_mm) else None,

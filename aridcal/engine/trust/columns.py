@@ -16,14 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.engine.fit.elimination import Elimination, Groups, Known, Sums, solved
+from aridcal.engine.fit.elimination import Elimination, Groups, PriorRows, Sums, solved
 from aridcal.engine.fit.least_squares import Fit, thin
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import Channels, spread
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.progress import SILENT, Progress
 
-NUMBERS = 10_000_000
+MOST_HELD_NUMBERS = 10_000_000
 """Work: Numbers of the largest array that is held, 80 MB: of a model of very many coefficients fewer rows are looked at."""
 
 
@@ -40,7 +40,7 @@ class Columns:
         there: Numbers that were measured, shape (N, m) bool.
         group: Group of each row, shape (N,); -1 for none.
         groups: All groups; None where nothing of things is unknown.
-        known: What is known of the unknowns beforehand.
+        prior: What is known of the unknowns beforehand.
         share: Part of an independent measurement that each row counts for.
         target: How the predicted target moves with each coefficient, shape (N, 3, K), [m] per unit.
     """
@@ -53,7 +53,7 @@ class Columns:
     there: np.ndarray
     group: np.ndarray
     groups: Groups | None
-    known: Known
+    prior: PriorRows
     share: float
     target: np.ndarray
 
@@ -73,12 +73,12 @@ class Columns:
             empty = np.zeros((0, 0, 0))
             return Elimination(np.zeros((0, 0, count)), np.zeros((0, 0)), empty, 0.0, np.zeros(0))
         sums.add(self.group[some], self.B[some], self.J[some], self.r[some], self.channels)
-        return solved(sums, self.groups, self.known, np.ones(channels))
+        return solved(sums, self.groups, self.prior, np.ones(channels))
 
     def equations(self, things: Elimination, some: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """H (K, K) and g (K,) of some of the rows, their things solved for as :meth:`solved` has it for the same rows."""
         J, group = self.J[some], self.group[some]
-        residuals, _ = self.less(self.r[some, :, None], self.known.left[:, None], things, some)
+        residuals, _ = self.less(self.r[some, :, None], self.prior.misfit[:, None], things, some)
         without_things = J
         if self.groups is not None:
             without_things = J.copy()
@@ -104,11 +104,11 @@ class Columns:
         grouped = group >= 0
         pull = np.zeros((len(things.inverse), B.shape[2], values.shape[2]))
         np.add.at(pull, group[grouped], B[grouped].transpose(0, 2, 1) @ values[grouped])
-        np.add.at(pull, self.known.group, self.known.by[:, :, None] * known[:, None, :])
+        np.add.at(pull, self.prior.group, self.prior.by[:, :, None] * known[:, None, :])
         y = things.inverse @ pull
         rest = values.copy()
         rest[grouped] -= B[grouped] @ y[group[grouped]]
-        return rest, known - np.einsum("tu,tud->td", self.known.by, y[self.known.group])
+        return rest, known - np.einsum("tu,tud->td", self.prior.by, y[self.prior.group])
 
 
 def _linearised_rows(fit: Fit, data: Dataset, most: int, progress: Progress) -> tuple[np.ndarray, Problem]:
@@ -132,7 +132,7 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         progress: Told how far the pass over them is.
     """
     wide = sum(channel.size for channel in data.channels) * max(len(fit.theta), 1)
-    chosen, fit_problem = _linearised_rows(fit, data, min(most, NUMBERS // wide), progress)
+    chosen, fit_problem = _linearised_rows(fit, data, min(most, MOST_HELD_NUMBERS // wide), progress)
     per = 1.0 / spread(sigma, fit_problem.channels)
     root = np.sqrt(fit.weight[chosen] * data.repeats.share)[:, None] * per
     shape, count = root.shape, len(fit.theta)
@@ -151,7 +151,7 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         else:
             target[block] = fit.model.jacobian(fit.theta, fit_problem.rows[block])[2][:, :3]
     measured = ~fit_problem.measured.absent
-    nothing = Known(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
+    nothing = PriorRows(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
     return Columns(
         rows=chosen,
         channels=fit_problem.channels,
@@ -161,7 +161,7 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         there=measured,
         group=fit_problem.group_of(slice(None)),
         groups=fit_problem.groups,
-        known=fit_problem.beforehand() or nothing,
+        prior=fit_problem.beforehand() or nothing,
         share=data.repeats.share,
         target=target,
     )

@@ -22,11 +22,11 @@ from aridcal.system.progress import SILENT, Progress
 MOST_PARTS = 4
 """Drawn: Parts of a combination that are named; no one can picture more."""
 
-TOGETHER = 3.0
+PAIR_RATIO = 3.0
 """Times that a sum is known better than the difference, or the other way round, from which a pair is worth a sentence: the two
 are then correlated by 0.8."""
 
-ROWS = 300
+AVERAGED_ROWS = 300
 """Work: Rows over which the shift of the target is averaged."""
 
 
@@ -70,7 +70,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Known:
+class Identifiability:
     """How well rows tell the constants.
 
     Attributes:
@@ -92,7 +92,7 @@ class Known:
     sigma: float
 
 
-def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Known | None:
+def identifiability(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Identifiability | None:
     """Ask what rows tell of the arm's constants; None for a fit without such constants.
 
     Args:
@@ -108,10 +108,10 @@ def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Known | None
     units = ["rad" if fit.model.coefficients[k].component in ANGULAR else "m" for k in arm_constants]
     covariance = fit.covariance[np.ix_(arm_constants, arm_constants)]
     spare, moved = _spare(fit, arm_constants)
-    rows = columns_of(fit, train, fit.sigma, ROWS, progress)
+    rows = columns_of(fit, train, fit.sigma, AVERAGED_ROWS, progress)
     J = rows.target.reshape(-1, len(fit.theta))
     variance = float(np.sum((J @ fit.covariance) * J)) / len(rows)
-    return Known(
+    return Identifiability(
         names=tuple(names),
         combinations=_combinations(names, units, covariance),
         pairs=_pairs(names, units, covariance),
@@ -155,7 +155,7 @@ def _pairs(names: list[str], units: list[str], covariance: np.ndarray) -> tuple[
             if squares - abs(cross) <= 0.0:
                 continue  # one of the two is known to rounding
             pair = Pair(names[i], names[j], units[i], float(np.sqrt(squares + cross)), float(np.sqrt(squares - cross)))
-            if pair.ratio >= TOGETHER:
+            if pair.ratio >= PAIR_RATIO:
                 pairs.append(pair)
     return tuple(sorted(pairs, key=lambda pair: -pair.ratio))
 

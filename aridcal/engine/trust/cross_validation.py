@@ -18,26 +18,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.noise import covariance_of_rows
 from aridcal.engine.fit.normal_equations import solve
 from aridcal.engine.fit.problem import unscaled
 from aridcal.engine.instruments.channels import norms, spread
-from aridcal.engine.levels import BLOCKS
+from aridcal.engine.levels import JUDGING_FOLDS
 from aridcal.engine.model.many_rows import blocks
 from aridcal.engine.numerics import RIDGE
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 from aridcal.engine.trust.columns import Columns, columns_of
 from aridcal.system.progress import SILENT, Progress
 
-ROWS = 5000
+MOST_LEFT_OUT_ROWS = 5000
 """Work: Rows at the most that are left out in turn: one of so many moves nothing, and errors of so many are known to a per
 cent."""
 
-LONE = 1e-9
+LONE_ROW_SHARE = 1e-9
 """Work: What is left of a row's own share, beside other rows', below which it is alone in telling of something."""
 
-DECIDES = 1.0
+DECIDING_SHIFT = 1.0
 """Standard deviations of the predicted target by which leaving out one row may move it: beyond it one measurement weighs
 as much as the noise of all."""
 
@@ -87,7 +87,7 @@ class Influence:
     @property
     def deciding(self) -> np.ndarray:
         """Rows that move the target by more than its own uncertainty, the most influential first."""
-        return np.asarray(self.rows[self.shift > DECIDES * self.sigma])
+        return np.asarray(self.rows[self.shift > DECIDING_SHIFT * self.sigma])
 
 
 def rows_of(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Columns:
@@ -98,7 +98,7 @@ def rows_of(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Columns:
         train: The rows that it was fitted to.
         progress: Told how far the pass over them is.
     """
-    return columns_of(fit, train, fit.sigma, ROWS, progress)
+    return columns_of(fit, train, fit.sigma, MOST_LEFT_OUT_ROWS, progress)
 
 
 def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
@@ -113,15 +113,15 @@ def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
         rows: See :func:`rows_of`.
     """
     data = train.select(rows.rows)
-    together = held_together(data)
-    if len(fit.theta) == 0 or together.max(initial=0) + 1 < BLOCKS:
+    together = held_back_groups(data)
+    if len(fit.theta) == 0 or together.max(initial=0) + 1 < JUDGING_FOLDS:
         return None
-    fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % BLOCKS)[together]
+    fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % JUDGING_FOLDS)[together]
     things = rows.solved()
     sums_of_all = rows.equations(things) if rows.groups is not None else None
     whole = len(rows) / max(int((~fit.outliers).sum()), 1) * fit.information
     residuals = rows.r.copy()
-    for k in range(BLOCKS):
+    for k in range(JUDGING_FOLDS):
         out = fold == k
         things_of_rest = rows.solved(~out)
         if sums_of_all is None:  # sums over rows: the others' are all less those of these
@@ -141,7 +141,7 @@ def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
             by_things = np.einsum("nmu,nu->nm", rows.B[out], y[group])
             residuals[out] -= np.where(of_things[:, None], by_things, 0.0)
             residuals[out] = np.where(undetermined[:, None], np.nan, residuals[out])
-    errors = np.array([_rms(residuals[fold == k], rows, fit, data, fold == k) for k in range(BLOCKS)])
+    errors = np.array([_rms(residuals[fold == k], rows, fit, data, fold == k) for k in range(JUDGING_FOLDS)])
     return Folds(errors, _rms(rows.r, rows, fit, data, np.ones(len(rows), dtype=bool)))
 
 
@@ -175,7 +175,7 @@ def influence(fit: Fit, rows: Columns) -> Influence | None:
         L[grouped] = B[grouped] @ things.inverse[group] @ B[grouped].transpose(0, 2, 1)
     L += _shares(J, fit.covariance)
     # A row that alone tells of something predicts itself: without it there is nothing to compare.
-    weighted = np.linalg.pinv(np.eye(m) - L, hermitian=True, rcond=LONE) @ rows.r[:, :, None]
+    weighted = np.linalg.pinv(np.eye(m) - L, hermitian=True, rcond=LONE_ROW_SHARE) @ rows.r[:, :, None]
     pull = -(J.transpose(0, 2, 1) @ weighted)[:, :, 0]
     step = pull @ fit.covariance
     at_target = rows.target.reshape(-1, K)
@@ -194,7 +194,7 @@ def _shares(J: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     acts = J.any(axis=1)
     most = int(acts.sum(axis=1).max(initial=0))
     if 4 * most > len(covariance):  # to pick them out takes longer than the one product of all
-        return carried(J, covariance)
+        return covariance_of_rows(J, covariance)
     which = np.argsort(~acts, axis=1, kind="stable")[:, :most]
     columns = np.take_along_axis(J, which[:, None], axis=2)
     shares = np.empty((len(J), J.shape[1], J.shape[1]))

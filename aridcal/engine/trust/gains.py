@@ -9,23 +9,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.engine.corrections.basis import evaluate
-from aridcal.engine.corrections.catalogue import Barred, merged
+from aridcal.engine.corrections.catalogue import UntestableEffect, merged
 from aridcal.engine.corrections.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
 from aridcal.engine.corrections.regional_kind import is_local
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.normal_equations import conditional
 from aridcal.engine.fit.problem import Problem, problem
-from aridcal.engine.fit.residual import things_again
+from aridcal.engine.fit.residual import problem_with_things
 from aridcal.engine.instruments.channels import Channels, columns
-from aridcal.engine.levels import FAINT, FOLDS
+from aridcal.engine.levels import CHOOSING_FOLDS, FAINT_LEVER_SHARE
 from aridcal.engine.numerics import TINY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.confounded import RivalModel
 from aridcal.engine.search.diagnose import SearchResult
 from aridcal.engine.search.noise_tests import Clue
-from aridcal.engine.search.scoring import held_back
+from aridcal.engine.search.rival_models import RivalModel
+from aridcal.engine.search.scoring import held_back_errors
 
-GRID = 160
+CURVE_GRID = 160
 """Drawn: Points of a curve, at least: it is drawn without corners."""
 
 PER_PERIOD = 16
@@ -43,7 +43,7 @@ class Curve:
         at: Values of the covariate, shape (G,).
         value: The identified motion there, shape (G,).
         std: Its standard deviation, shape (G,).
-        seen: Values of the covariate at the rows, shape (N,).
+        row_values: Values of the covariate at the rows, shape (N,).
         pulled: Motion that each row asks for by itself: its residual pulled back to this place, shape (N,).
     """
 
@@ -53,7 +53,7 @@ class Curve:
     at: np.ndarray
     value: np.ndarray
     std: np.ndarray
-    seen: np.ndarray
+    row_values: np.ndarray
     pulled: np.ndarray
 
 
@@ -86,7 +86,7 @@ class NamedEffect:
 
 
 @dataclass(frozen=True)
-class Rejected:
+class RejectedEffect:
     """A candidate that was examined closely and not accepted."""
 
     effect: Effect
@@ -111,8 +111,8 @@ class Diagnosis:
     """
 
     effects: tuple[NamedEffect, ...]
-    rejected: tuple[Rejected, ...]
-    barred: tuple[Barred, ...]
+    rejected: tuple[RejectedEffect, ...]
+    barred: tuple[UntestableEffect, ...]
     tested: int
     clues: tuple[Clue, ...]
     over_time: float | None = None
@@ -128,14 +128,14 @@ def explain(diagnosed: SearchResult, every: Dataset, scored: np.ndarray, clues: 
         scored: Held-out rows without outliers, shape (N,) bool.
         clues: Whether what remains is noise.
     """
-    search = diagnosed.found
+    search = diagnosed.stepwise
     active = search.state.active
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, a in enumerate(active):
         groups.setdefault(a.effect.identity, []).append(k)
     return Diagnosis(
         effects=_named(diagnosed, every, scored, groups) if groups else (),
-        rejected=tuple(Rejected(j.effect, j.p_value, j.score.gain, j.why) for j in search.rejected),
+        rejected=tuple(RejectedEffect(j.effect, j.p_value, j.score.gain, j.why) for j in search.rejected),
         barred=diagnosed.barred,
         tested=search.tested,
         clues=tuple(clues),
@@ -155,7 +155,7 @@ def _named(
         scored: Held-out rows without outliers, shape (N,) bool.
         groups: Numbers of the active parts of each effect, by its identity.
     """
-    search, fit = diagnosed.found, diagnosed.fit
+    search, fit = diagnosed.stepwise, diagnosed.fit
     active = search.state.active
     declared = {e.identity for e in diagnosed.declared}
     fit_problem = problem(fit.model, every)
@@ -188,17 +188,17 @@ def _named(
 
 def _over_time(diagnosed: SearchResult) -> float | None:
     """Position error with whole stretches of time held back, on the linear model; None where no effect depends on time."""
-    linear, state = diagnosed.linear, diagnosed.found.state
+    linear, state = diagnosed.linear, diagnosed.stepwise.state
     of_time = [a for a in state.active if {ROW_ORDER, "time"} & set(a.effect.covariates)]
     if not of_time:
         return None
     other_effects = [a for a in state.active if a is not of_time[-1]]
     without_it = state.with_active(other_effects, fixed=True)
-    squares = held_back(without_it, of_time[-1], linear.run[state.used] % FOLDS)
+    squares = held_back_errors(without_it, of_time[-1], linear.run[state.used] % CHOOSING_FOLDS)
     return float(state.solution.sigma[0] * np.sqrt(squares[1, 0].mean() / linear.share))
 
 
-def refitted(fit: Fit, zeroed: np.ndarray, free: np.ndarray) -> np.ndarray:
+def refit_coefficients(fit: Fit, zeroed: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Coefficients of a model of which some are taken to be zero, and others fitted anew to the same rows.
 
     Args:
@@ -218,11 +218,11 @@ def _with_effects(fit_problem: Problem, fit: Fit, effects: Sequence[Effect]) -> 
     """Residuals of a model with some of its effects only, all else refitted, shape (n, m)."""
     names = {c.name for e in effects for c in e.coefficients}
     keep = np.array([c.basis.constant or c.name in names for c in fit.model.coefficients], dtype=bool)
-    theta = refitted(fit, ~keep, keep)
+    theta = refit_coefficients(fit, ~keep, keep)
     train = fit_problem.data.train
     weight = np.zeros(len(train))
     weight[train] = fit.weight
-    with_things = things_again(fit_problem, theta, weight)
+    with_things = problem_with_things(fit_problem, theta, weight)
     # Things that held-out rows alone refer to are solved from these rows, as for the whole model.
     states = {
         name: np.where(np.isnan(state), state, with_things.states[name]) for name, state in fit_problem.states.items()
@@ -235,7 +235,7 @@ def _without(fit_problem: Problem, fit: Fit, effect: Effect) -> np.ndarray:
     names = {c.name for c in effect.coefficients}
     zeroed = np.array([name in names for name in fit.model.names], dtype=bool)
     constant = np.array([c.basis.constant for c in fit.model.coefficients], dtype=bool)
-    return fit.model.poses(refitted(fit, zeroed, constant), fit_problem.rows)[1]
+    return fit.model.poses(refit_coefficients(fit, zeroed, constant), fit_problem.rows)[1]
 
 
 def _rms(r: np.ndarray, channels: Channels) -> float:
@@ -262,7 +262,7 @@ def _curves(effect: Effect, diagnosed: SearchResult) -> list[Curve]:
 
 def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], diagnosed: SearchResult) -> Curve:
     """One motion over one covariate, and what each row asks for: its residual pulled back, plus the model's motion."""
-    fit, table, linear, state = diagnosed.fit, diagnosed.observed.table, diagnosed.linear, diagnosed.found.state
+    fit, table, linear, state = diagnosed.fit, diagnosed.observed.table, diagnosed.linear, diagnosed.stepwise.state
     index = [fit.model.names.index(c.name) for c in part]
     theta, covariance = fit.theta[index], fit.covariance[np.ix_(index, index)]
     values = table[name]
@@ -276,7 +276,7 @@ def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], d
     lever = np.sum((column / state.sigma) ** 2, axis=1)
     own_motion = np.sum(column * state.residual / state.sigma**2, axis=1) / np.maximum(lever, TINY)
     motion = np.column_stack([evaluate(c.basis, table) for c in part]) @ theta
-    telling = state.used & (lever > FAINT * np.median(lever))
+    telling = state.used & (lever > FAINT_LEVER_SHARE * np.median(lever))
     joint = next((j for j in diagnosed.observed.robot.joints if j.name == where), None)
     turns = component in ANGULAR or (component == "axis" and joint is not None and joint.kind == "revolute")
     return Curve(
@@ -286,7 +286,7 @@ def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], d
         at=grid,
         value=phi @ theta,
         std=np.sqrt(np.maximum(variance, 0.0)),
-        seen=values[telling],
+        row_values=values[telling],
         pulled=(own_motion + motion)[telling],
     )
 
@@ -296,4 +296,4 @@ def _grid(values: np.ndarray, part: Sequence[Coefficient]) -> np.ndarray:
     low, high = float(values.min()), float(values.max())
     highest = max((abs(c.basis.numbers[0]) for c in part if c.basis.form in ("sin", "cos")), default=0.0)
     periods = highest * (high - low) / (2 * math.pi)
-    return np.linspace(low, high, max(GRID, math.ceil(PER_PERIOD * periods)))
+    return np.linspace(low, high, max(CURVE_GRID, math.ceil(PER_PERIOD * periods)))

@@ -13,7 +13,7 @@ What no row tells has no part in it: the difference is taken in the identifiable
 noise to be known.
 
 Many divisions are looked at, and the one that shows most is named. What chance makes of the best of so many is not a guess:
-the same rows are given noise instead of residuals, :data:`DRAWS` times, and all is done again (Monte Carlo test; Dwass
+the same rows are given noise instead of residuals, :data:`NULL_DRAWS` times, and all is done again (Monte Carlo test; Dwass
 1957, doi:10.1214/aoms/1177707045). So the p-value is uniform where nothing is missing, however the divisions hang together.
 """
 
@@ -35,26 +35,26 @@ from aridcal.engine.levels import RARE
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 from aridcal.engine.trust.columns import Columns, columns_of
 from aridcal.system.progress import SILENT, Progress
 
-ROWS = 1000
+MOST_COMPARED_ROWS = 1000
 """Work: Rows at the most that are compared: 300 show an error as large as the noise, and every draw costs as many as there
 are."""
 
-DRAWS = 199
+NULL_DRAWS = 199
 """Work: Sets of noise that say what chance does: a p-value near 0.05 is then known to 0.015. Smaller ones are bounded by
 Bonferroni's."""
 
-RANK = 1e-8
+HALF_RANK = 1e-8
 """Work: Share of the largest eigenvalue, coefficients scaled alike, below which a half tells nothing of a difference: rounding
 of the sums leaves 1e-12, and a direction known 10,000 times worse than another would only dilute it."""
 
-SMALLEST = 0.2
+SMALLEST_HALF = 0.2
 """Share of the rows below which a side is no half: a few rows of it would decide."""
 
-EXACT = 10.0
+NOISELESS_FACTOR = 10.0
 """Work: Times what counts as rounding: below it there is no noise that the halves could be compared with."""
 
 PATTERNS = {
@@ -127,9 +127,9 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
         train: The rows that it was fitted to.
         progress: Told how far the pass over them is.
     """
-    if len(fit.theta) == 0 or np.all(fit.estimated <= EXACT * FLOOR):
+    if len(fit.theta) == 0 or np.all(fit.estimated <= NOISELESS_FACTOR * FLOOR):
         return None
-    of_rows = columns_of(fit, train, np.maximum(fit.estimated, FLOOR), ROWS, progress)
+    of_rows = columns_of(fit, train, np.maximum(fit.estimated, FLOOR), MOST_COMPARED_ROWS, progress)
     of_half = np.array([_is_of_half(c) for c in fit.model.coefficients])
     rows = train.select(of_rows.rows)
     frames = np.array([c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients])
@@ -191,7 +191,7 @@ def divisions(rows: Dataset, loads: Mapping[str, np.ndarray]) -> list[Division]:
     distinct: dict[bytes, Division] = {}
     for each in candidates:
         balance = min(each.side.mean(), 1.0 - each.side.mean())
-        if balance >= SMALLEST:
+        if balance >= SMALLEST_HALF:
             distinct.setdefault((each.side ^ each.side[0]).tobytes(), each)  # whichever half is called the second
     return list(distinct.values())
 
@@ -233,9 +233,9 @@ def _comparisons(
     N, m, K = rows.J.shape
     things = rows.solved()
     J = rows.J.reshape(N * m, K)
-    none = np.zeros((len(rows.known.left), K))
+    none = np.zeros((len(rows.prior.misfit), K))
     JP, tied = rows.less(rows.J, none, things)
-    inverse, spent = pseudo_inverse(J.T @ JP.reshape(N * m, K), RANK)
+    inverse, spent = pseudo_inverse(J.T @ JP.reshape(N * m, K), HALF_RANK)
     sets, beforehand = _draws(rows, data)
     sets, beforehand = rows.less(sets, beforehand, things)
     flat = sets.reshape(N * m, -1)
@@ -244,12 +244,12 @@ def _comparisons(
     flat = flat - JP.reshape(N * m, K) @ steps
     beforehand = beforehand - tied @ steps
     squares = np.sum(flat**2, axis=0) + np.sum(beforehand**2, axis=0)
-    numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
+    numbers = rows.share * rows.there.sum() + len(rows.prior.misfit) - np.sum(things.rank)
     freedom = round(float(numbers)) - spent
     least = np.full(flat.shape[1], np.inf)
     for division, side in zip(divided, _sides(rows, divided, of_half, things, flat, data.labels.route), strict=True):
         M = side.squares - side.cross.T @ inverse @ side.cross
-        root = root_of_inverse(M, RANK)
+        root = root_of_inverse(M, HALF_RANK)
         d = len(root)
         if d == 0 or freedom - d < d:
             continue
@@ -301,7 +301,7 @@ def _sides(
     """
     N, m, K = rows.J.shape
     if rows.groups is not None:
-        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.known.left), int(of_half.sum())))
+        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.prior.misfit), int(of_half.sum())))
         for division in divided:
             A = np.where(division.side[:, None, None], rows.J[:, :, of_half], 0.0)
             AP = rows.less(A, none, things)[0].reshape(N * m, -1)
@@ -372,14 +372,14 @@ def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(int.from_bytes(hashlib.sha256(content).digest()))
     N, m = rows.r.shape
     if rows.share < 1.0:  # rows of one place are one measurement
-        place = held_together(data)
-        of_places = rng.standard_normal((int(place.max()) + 1, m, DRAWS))
+        place = held_back_groups(data)
+        of_places = rng.standard_normal((int(place.max()) + 1, m, NULL_DRAWS))
         draws = of_places[place] * np.sqrt(rows.share)
     else:
-        draws = rng.standard_normal((N, m, DRAWS))
+        draws = rng.standard_normal((N, m, NULL_DRAWS))
     noise = np.where(rows.there[:, :, None], draws, 0.0)
-    beforehand = rng.standard_normal((len(rows.known.left), DRAWS))
-    return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.known.left, beforehand])
+    beforehand = rng.standard_normal((len(rows.prior.misfit), NULL_DRAWS))
+    return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.prior.misfit, beforehand])
 
 
 def _at_target(target: np.ndarray, of_half: np.ndarray, frames: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 from aridcal.engine.fit.noise import copies, places
-from aridcal.engine.model.model import Frames
+from aridcal.engine.model.model import LabelledFrames
 from aridcal.engine.rows.dataset import Dataset
 
 STANDARD = "ISO 9283:1998"
@@ -58,7 +58,7 @@ LEAST_CYCLES = 3
 """Cycles without which no repeatability, no drift and no side of approach is told: of two cycles the distances to their mean are
 equal, so that RP has no spread and comes out at 31 % on average."""
 
-TURNS = ("a", "b", "c")
+ISO_ROTATIONS = ("a", "b", "c")
 """Rotations about the base's x, y and z (ISO 9787)."""
 
 MEANINGS = {
@@ -137,7 +137,10 @@ def applies(rows: Dataset) -> bool:
 
 
 def iso_9283(
-    rows: Dataset, outlier: np.ndarray, nominal: tuple[Frames, np.ndarray], final: tuple[Frames, np.ndarray]
+    rows: Dataset,
+    outlier: np.ndarray,
+    nominal: tuple[LabelledFrames, np.ndarray],
+    final: tuple[LabelledFrames, np.ndarray],
 ) -> Iso9283 | None:
     """Evaluate all poses that were attained more than once; None where there is none.
 
@@ -194,7 +197,7 @@ def _hours(rows: Dataset, group: np.ndarray) -> float:
 
 
 def _figures(
-    rows: Dataset, cycles: Sequence[np.ndarray], pairs: np.ndarray, bases: Frames, residual: np.ndarray
+    rows: Dataset, cycles: Sequence[np.ndarray], pairs: np.ndarray, bases: LabelledFrames, residual: np.ndarray
 ) -> Figures:
     """All figures with one model as the command."""
     some = np.concatenate(cycles)
@@ -220,7 +223,7 @@ def _figures(
 
 def _symbols(turns: bool) -> list[str]:
     """Symbols of the figures of poses."""
-    turning = [f"{symbol}_{axis}" for symbol in ("AP", "RP") for axis in TURNS] if turns else []
+    turning = [f"{symbol}_{axis}" for symbol in ("AP", "RP") for axis in ISO_ROTATIONS] if turns else []
     return ["AP", "AP_x", "AP_y", "AP_z", "RP", *turning, "vAP", "dAP", "dRP"]
 
 
@@ -236,13 +239,13 @@ def _of_pose(rows: Dataset, group: np.ndarray, off: np.ndarray) -> dict[str, flo
     mean = off.mean(axis=0)
     figures = {"AP": accuracy_of(where), **dict(zip(("AP_x", "AP_y", "AP_z"), mean[0].tolist(), strict=True))}
     if off.shape[1] > 1:
-        figures |= {f"AP_{axis}": value for axis, value in zip(TURNS, mean[1].tolist(), strict=True)}
+        figures |= {f"AP_{axis}": value for axis, value in zip(ISO_ROTATIONS, mean[1].tolist(), strict=True)}
     if len(group) < LEAST_CYCLES:
         return figures
     figures["RP"] = repeatability_of(where)
     if off.shape[1] > 1:
         spread = 3.0 * off[:, 1].std(axis=0, ddof=1)
-        figures |= {f"RP_{axis}": value for axis, value in zip(TURNS, spread.tolist(), strict=True)}
+        figures |= {f"RP_{axis}": value for axis, value in zip(ISO_ROTATIONS, spread.tolist(), strict=True)}
     sides = _directions(rows, group)
     centres = [where[sides == side].mean(axis=0) for side in set(sides.tolist()) - {0}]
     if len(centres) > 1:
@@ -298,7 +301,7 @@ def document(iso: Iso9283, rows: Dataset) -> dict[str, Any]:
     """The figures as ``result.json`` has them, [mm] and [mrad]."""
 
     def shown(figures: Figures, symbols: Sequence[str], k: int) -> dict[str, float]:
-        units = {symbol: "mrad" if symbol[-1] in TURNS else "mm" for symbol in symbols}
+        units = {symbol: "mrad" if symbol[-1] in ISO_ROTATIONS else "mm" for symbol in symbols}
         return {f"{symbol}_{units[symbol]}": 1e3 * float(figures[symbol][k]) for symbol in symbols}
 
     models = {"nominal": iso.nominal, "final": iso.final}

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient, Effect
 from aridcal.engine.corrections.labels import label_in
 from aridcal.engine.corrections.regional_kind import IN_SPACE, is_of_labels, labels_of, spread_out
 from aridcal.engine.corrections.sights import TARGET
-from aridcal.engine.fit.least_squares import UNKNOWN_NOISE, Fit, fit, thin
+from aridcal.engine.fit.least_squares import FIRST_NOISE, Fit, fit, thin
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import recentred
@@ -24,7 +24,7 @@ from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.robot.chain import Joint
 from aridcal.engine.rows.dataset import Dataset, dataset
-from aridcal.engine.search.linear_model import PLAUSIBLE
+from aridcal.engine.search.linear_model import PLAUSIBLE_SIZE
 
 MOST_REGIONS = 28
 """Drawn: One for each square of the report's strip."""
@@ -33,7 +33,7 @@ COUNTS = (1, 2, 3, 4, 6, 8, 11, 15, 20, MOST_REGIONS)
 """Work: Numbers of regions that are tried, about 1.4 apart, until their URDFs are as near to the whole model as is worth
 anything."""
 
-NEAR = 0.3
+NEAR_NOISE_SHARE = 0.3
 """Of the noise in space: a URDF that is nearer than that to the whole model adds 4 % to what the noise leaves."""
 
 ROWS_OF_A_REGION = 6
@@ -108,7 +108,7 @@ def regions(final: Fit, rows: Dataset, fitted: np.ndarray, effects: Sequence[Eff
         fitted: Rows that the model was fitted to, shape (N,) bool.
         effects: Effects of the final model.
     """
-    varying = [e for e in effects if KINDS[e.kind].asked]
+    varying = [e for e in effects if EFFECT_KINDS[e.kind].on_request]
     if not varying:
         return None
     if any(is_of_labels(e) for e in varying):
@@ -117,7 +117,7 @@ def regions(final: Fit, rows: Dataset, fitted: np.ndarray, effects: Sequence[Eff
     scale = np.maximum(np.ptp(places[fitted], axis=0), 1e-9) if by != TARGET else np.ones(3)
     different = np.unique(np.round(places[fitted] / scale, 6), axis=0)
     most = max(len(different) // ROWS_OF_A_REGION, 1)
-    start, enough = recentred(final), NEAR * np.sqrt(3.0) * _noise(final, rows)[0]
+    start, enough = recentred(final), NEAR_NOISE_SHARE * np.sqrt(3.0) * _noise(final, rows)[0]
     whole = _places(final, rows.select(fitted))
     for count in (count for count in COUNTS if count <= most):
         result = _divided(start, rows, fitted, by, places, scale, _middles(different, count))
@@ -186,7 +186,7 @@ def _places(fit: Fit, rows: Dataset) -> np.ndarray:
 def _noise(final: Fit, rows: Dataset) -> list[float]:
     """Sigma of a place and of a turn, per axis, [m] and [rad]."""
     sigmas = {channel.name: float(sigma) for channel, sigma in zip(rows.channels, final.sigma, strict=True)}
-    return [sigmas.get(channel.name, UNKNOWN_NOISE) for channel in (TARGET_POSITION, TARGET_ROTATION)]
+    return [sigmas.get(channel.name, FIRST_NOISE) for channel in (TARGET_POSITION, TARGET_ROTATION)]
 
 
 def _covariates(final: Fit, rows: Dataset, effects: Sequence[Effect]) -> tuple[tuple[str, ...], np.ndarray]:
@@ -255,6 +255,6 @@ def _constants(final: Fit, around: Dataset) -> Fit:
     of_arm = [c for c in values if of_things[c] or (c.basis.constant and c.where not in frames)]
     coefficients = tuple(dict.fromkeys([*of_arm, *first]))
     theta = np.array([values.get(c, 0.0) for c in coefficients])
-    prior = Prior(theta, np.eye(len(theta)) / PLAUSIBLE**2)
+    prior = Prior(theta, np.eye(len(theta)) / PLAUSIBLE_SIZE**2)
     question = problem(final.model.with_coefficients(coefficients), poses)
     return fit(question, theta, np.ones(len(poses)), prior)

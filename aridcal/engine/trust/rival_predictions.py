@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.model.model import Model
-from aridcal.engine.trust.unobservable import with_untold
+from aridcal.engine.trust.unobservable import with_unobservable
 from aridcal.engine.trust.workspace import OpenCombination, target_covariance
 
 
@@ -61,11 +61,11 @@ def with_rivals(model: Model, theta: np.ndarray, rivals: Sequence[Rival]) -> tup
             roots.append(tuple((c, root * (change.get(c, 0.0) - value)) for c, value in shift.items()))
         for c, value in shift.items():
             mean[c] = mean.get(c, 0.0) + value
-    wide, values, covariance = with_untold(model, theta, roots)
+    wide, values, covariance = with_unobservable(model, theta, roots)
     return wide, values + np.array([mean.get(c, 0.0) for c in wide.coefficients]), covariance
 
 
-def between(
+def covariance_between(
     model: Model,
     theta: np.ndarray,
     rivals: Sequence[Rival],

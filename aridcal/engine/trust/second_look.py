@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.combinations import Known, known
+from aridcal.engine.trust.combinations import Identifiability, identifiability
 from aridcal.engine.trust.cross_validation import Folds, Influence, folds, influence, rows_of
 from aridcal.engine.trust.halves import Halves, halves
 from aridcal.system.progress import SILENT, Progress
@@ -20,13 +20,13 @@ class SecondLook:
         halves: Halves of the geometric and of the final model, by stage; of the final alone where both models are the same.
         folds: Errors of the final model on folds that were left out.
         influence: How the final model changes without each row.
-        known: What the rows tell of the arm's constants.
+        identifiability: What the rows tell of the arm's constants.
     """
 
     halves: dict[str, Halves | None]
     folds: Folds | None
     influence: Influence | None
-    known: Known | None
+    identifiability: Identifiability | None
 
 
 def second_look(geometric: Fit, final: Fit, train: Dataset, progress: Progress = SILENT) -> SecondLook:
@@ -44,5 +44,5 @@ def second_look(geometric: Fit, final: Fit, train: Dataset, progress: Progress =
         halves={name: halves(fit, train, progress) for name, fit in (stages | {"final": final}).items()},
         folds=folds(final, train, rows),
         influence=influence(final, rows),
-        known=known(geometric, train, progress),
+        identifiability=identifiability(geometric, train, progress),
     )

@@ -75,7 +75,7 @@ class TargetView:
         return medians[0], medians[1]
 
 
-def at_target(fit: Fit, rows: Dataset) -> TargetView:
+def target_view(fit: Fit, rows: Dataset) -> TargetView:
     """Look at N rows of any kind from the target.
 
     Args:

@@ -22,12 +22,12 @@ import numpy as np
 from scipy.special import betainc, betaincinv
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import WORTH_SAYING, Repeats
+from aridcal.engine.fit.noise import WORTH_SAYING, RepeatScatter
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.levels import DOUBT
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.target_uncertainty import at_target
+from aridcal.engine.trust.target_uncertainty import target_view
 from aridcal.engine.trust.workspace import Knowledge, Workspace
 
 SHARE = 0.95
@@ -36,20 +36,20 @@ SHARE = 0.95
 CONFIDENCE = 0.95
 """How sure that must be: of calibrations that are said to be within, at most one in twenty is not. Convention."""
 
-DRAWS = 400
+MODEL_ERROR_DRAWS = 400
 """Work: Of the calibration's error: the 95th percentile of what they give is then that of 93 to 97 % of all."""
 
-AXES = 3
+AXES_OF_A_PLACE = 3
 """Work: Of a place, or of a turn."""
 
-UNKNOWN_NOISE = (
+NOISE_UNKNOWN_SENTENCE = (
     "the instrument's noise is not declared, or cannot be what is declared: all that scatters counts as the robot's"
 )
 """What is said of it."""
 
 
 @dataclass(frozen=True)
-class Beyond:
+class ExcessError:
     """Error of rows beyond the calibration's own uncertainty, along each axis, as seen from the target.
 
     Attributes:
@@ -83,7 +83,7 @@ class Beyond:
 
 
 @dataclass(frozen=True)
-class Kept:
+class ToleranceAnswer:
     """The tolerance that a region keeps.
 
     Attributes:
@@ -93,9 +93,9 @@ class Kept:
         share: Share of the region that is likely within the tolerance, 0 to 1; NaN without a tolerance.
         confidence: Probability that 95 % of the region are within it; NaN without a tolerance.
         calibration: RMS length of the calibration's error over the part that was measured.
-        beyond: RMS length of the error beyond that of the calibration.
+        excess: RMS length of the error beyond that of the calibration.
         measured: Share of the region where similar configurations were measured.
-        told: Share of the region where the readings tell the target.
+        observable_share: Share of the region where the readings tell the target.
         rows: Number of rows that judge: the held-out ones, if there are any.
         held_out: False where no row was held out.
         rows_within: Number of judging rows within the tolerance, the instrument's noise included.
@@ -110,9 +110,9 @@ class Kept:
     share: float
     confidence: float
     calibration: float
-    beyond: float
+    excess: float
     measured: float
-    told: float
+    observable_share: float
     rows: int
     held_out: bool
     rows_within: int
@@ -128,8 +128,10 @@ class Kept:
     @property
     def gap(self) -> str:
         """Why nothing can be said of a part of the region, in words."""
-        if self.told < SHARE:
-            return f"no reading tells a part of what moves the target{' in some of it' if self.told else ''}"
+        if self.observable_share < SHARE:
+            return (
+                f"no reading tells a part of what moves the target{' in some of it' if self.observable_share else ''}"
+            )
         return f"{100 * (1.0 - self.measured):.0f} % of that was not measured"
 
     @property
@@ -138,7 +140,7 @@ class Kept:
         return None if self.tolerance is None else not self.reasons
 
 
-def instrument_noise(fit: Fit, rows: Dataset, repeats: Repeats | None) -> np.ndarray:
+def instrument_noise(fit: Fit, rows: Dataset, repeats: RepeatScatter | None) -> np.ndarray:
     """Noise of each channel per axis that may be blamed on the instrument, shape (C,); 0 where it is not declared.
 
     It is the declared noise, but no more than the scatter of repeats, and 0 where the rows fit so well that the declared noise
@@ -155,7 +157,7 @@ def instrument_noise(fit: Fit, rows: Dataset, repeats: Repeats | None) -> np.nda
     return np.where(true, np.minimum(declared_sigma, scatter), 0.0)
 
 
-def beyond(
+def excess_error(
     fit: Fit,
     rows: Dataset,
     judging: np.ndarray,
@@ -164,7 +166,7 @@ def beyond(
     noise: np.ndarray,
     tool: Sequence[float],
     turn: bool,
-) -> Beyond | None:
+) -> ExcessError | None:
     """Error of the judging rows beyond the calibration; None where no row tells it.
 
     Of a point beside the target both the shift and the turn that explain a row count, together.
@@ -185,7 +187,7 @@ def beyond(
     if not len(judging_rows):
         return None
     fit_problem = problem(fit.model, judging_rows).settled(fit.theta)
-    view = at_target(fit, judging_rows)
+    view = target_view(fit, judging_rows)
     sigma = spread(noise, rows.channels)
     size, squares, scatter, model, ranks = np.full((5, len(judging_rows)), np.nan)
     residuals, declared = residual[judging], True
@@ -224,7 +226,7 @@ def beyond(
     if not held_out and fit.freedom < 1.0:  # not one measured number is left over that the calibration was not bent to
         return None
     free = 1.0 if held_out else fit.freedom / fit.numbers
-    return Beyond(
+    return ExcessError(
         squares=float(squares[with_size].sum() / count) / free,
         noise=float(scatter[with_size].sum() / count) if declared else 0.0,
         model=float(model[with_size].sum() / count) if held_out else 0.0,
@@ -235,14 +237,14 @@ def beyond(
     )
 
 
-def kept(
+def tolerance_answer(
     known_model: Knowledge,
     region: Workspace,
     moves: tuple[np.ndarray, np.ndarray],
-    excess: Beyond | None,
+    excess: ExcessError | None,
     tolerance: float | None,
     turn: bool,
-) -> Kept | None:
+) -> ToleranceAnswer | None:
     """What a region keeps within; None where no row tells the error beyond the calibration.
 
     Args:
@@ -263,25 +265,25 @@ def kept(
         by_open[:, part], known_model.open, rng
     )
     off += _beyond(excess, off.shape, rng)
-    determined = region.turns_told if turn else region.told
+    determined = region.turns_told if turn else region.observable
     known_places = region.measured & determined
     length = np.where(known_places[:, None], np.linalg.norm(off, axis=1), np.inf)
     quantiles = np.quantile(length, SHARE, axis=0, method="higher")
     bound = float(np.quantile(quantiles, CONFIDENCE, method="higher"))
     variance = np.einsum("nii->n", region.turns if turn else region.covariance)[known_places]
-    remarks = [] if excess.declared else [UNKNOWN_NOISE]
+    remarks = [] if excess.declared else [NOISE_UNKNOWN_SENTENCE]
     if not excess.held_out:
         remarks.append("no row was held out: what goes beyond the calibration is that of the fitted rows")
-    answer = Kept(
+    answer = ToleranceAnswer(
         of="rotation" if turn else "position",
         tolerance=tolerance,
         bound=bound,
         share=float("nan"),
         confidence=float("nan"),
         calibration=float(np.sqrt(variance.mean())) if known_places.any() else float("nan"),
-        beyond=float(np.sqrt(AXES) * excess.sigma),
+        excess=float(np.sqrt(AXES_OF_A_PLACE) * excess.sigma),
         measured=float(region.measured.mean()),
-        told=float(determined.mean()),
+        observable_share=float(determined.mean()),
         rows=len(excess.size),
         held_out=excess.held_out,
         rows_within=0,
@@ -312,11 +314,11 @@ def kept(
     )
 
 
-def unjudged(of: str, tolerance: float) -> Kept:
+def no_answer(of: str, tolerance: float) -> ToleranceAnswer:
     """The answer where a tolerance was given, and no row tells anything of it."""
     nan = float("nan")
     reasons = (f"no row tells the target's {of}",)
-    return Kept(of, tolerance, np.inf, 0.0, 0.0, nan, nan, 0.0, 0.0, 0, True, 0, nan, reasons, ())
+    return ToleranceAnswer(of, tolerance, np.inf, 0.0, 0.0, nan, nan, 0.0, 0.0, 0, True, 0, nan, reasons, ())
 
 
 def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -325,10 +327,12 @@ def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator
     # The symmetric root is the same whatever signs rounding gives the vectors.
     root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     flat = columns.reshape(columns.shape[0] * columns.shape[1], len(root))
-    return np.asarray(flat @ (root @ rng.standard_normal((len(root), DRAWS)))).reshape(*columns.shape[:2], DRAWS)
+    return np.asarray(flat @ (root @ rng.standard_normal((len(root), MODEL_ERROR_DRAWS)))).reshape(
+        *columns.shape[:2], MODEL_ERROR_DRAWS
+    )
 
 
-def _beyond(excess: Beyond, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+def _beyond(excess: ExcessError, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """What goes beyond the calibration, shape (R, 3, draws): normal along a direction drawn at each place.
 
     Joints that do not repeat, and most that a model lacks, move a place more one way than another, which nobody knows. Of all
@@ -337,11 +341,11 @@ def _beyond(excess: Beyond, shape: tuple[int, ...], rng: np.random.Generator) ->
     """
     direction = rng.standard_normal(shape)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    size = np.sqrt(AXES) * excess.drawn(shape[2], rng) * rng.standard_normal((shape[0], 1, shape[2]))
+    size = np.sqrt(AXES_OF_A_PLACE) * excess.drawn(shape[2], rng) * rng.standard_normal((shape[0], 1, shape[2]))
     return np.asarray(direction * size)
 
 
-def _why(answer: Kept) -> str:
+def _why(answer: ToleranceAnswer) -> str:
     """Why a region is not within its tolerance, as far as the calibration's own figures say it."""
     if np.isinf(answer.bound):
         return answer.gap

@@ -8,11 +8,11 @@ import numpy as np
 
 from aridcal.engine.fit.flags import distance, robust_sigma
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import carried, contradicted
-from aridcal.engine.fit.problem import BLOCK, Problem, problem
+from aridcal.engine.fit.noise import covariance_of_rows, noise_ratio
+from aridcal.engine.fit.problem import ROWS_PER_BLOCK, Problem, problem
 from aridcal.engine.fit.residual import linearise
 from aridcal.engine.instruments.channels import Channels
-from aridcal.engine.model.model import Rows
+from aridcal.engine.model.model import ModelRows
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.numerics import RANK
 from aridcal.engine.rows.dataset import Dataset
@@ -21,7 +21,7 @@ from aridcal.system.progress import SILENT, Progress
 REALIGN_STEPS = 12
 """Work: Gauss-Newton steps at the most to fit two frames anew; five are usual."""
 
-FAR = 10.0
+GROSS_OUTLIER_SCALES = 10.0
 """Robust scales beyond which a held-out row is a gross outlier: so far that no model is to blame."""
 
 
@@ -44,7 +44,7 @@ def precision(fit: Fit, train: Dataset) -> Precision:
     return Precision(position, rotation)
 
 
-def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
+def with_contradicted_noise(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
     r"""The same fit, its covariance enlarged where the residuals contradict a smaller declared noise.
 
     .. math:: \Sigma + \Sigma \Big( \sum_c (s_c^2 - 1) A_c^T A_c / \sigma_c^2 \Big) \Sigma
@@ -57,7 +57,7 @@ def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
         train: The rows that it was fitted to.
         progress: Told how far the pass over them is.
     """
-    excess = np.maximum(contradicted(train, fit.estimated, fit.freedom), 1.0)
+    excess = np.maximum(noise_ratio(train, fit.estimated, fit.freedom), 1.0)
     if np.all(excess == 1.0):
         return fit
     equations = linearise(problem(fit.model, train, progress), fit.theta, fit.weight, fit.sigma).equations
@@ -65,7 +65,7 @@ def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
     return replace(fit, covariance=fit.covariance + fit.covariance @ added @ fit.covariance)
 
 
-def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+def target_sigma(fit: Fit, rows: ModelRows) -> tuple[np.ndarray, np.ndarray]:
     r"""1-sigma of the predicted target in its worst direction, [m] and [rad], shape (N,) each.
 
     The square root of the largest eigenvalue of :math:`J \Sigma J^T`, J the target's Jacobian and Sigma the covariance of
@@ -73,10 +73,14 @@ def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
     """
     worst, model = np.empty((2, len(rows))), fit.model
     local = model.local
-    for start in range(0, len(rows), BLOCK):
-        block = slice(start, start + BLOCK)
+    for start in range(0, len(rows), ROWS_PER_BLOCK):
+        block = slice(start, start + ROWS_PER_BLOCK)
         _, _, J = (model.jacobian if local is None else model.motions)(fit.theta, rows[block])
-        covariance = carried(J, fit.covariance) if local is None else local.carried(J, rows.phi[block], fit.covariance)
+        covariance = (
+            covariance_of_rows(J, fit.covariance)
+            if local is None
+            else local.carried(J, rows.phi[block], fit.covariance)
+        )
         for k, part in enumerate((slice(0, 3), slice(3, 6))):
             variance = np.linalg.eigvalsh(covariance[:, part, part])[:, -1]
             worst[k, block] = np.sqrt(np.maximum(variance, 0.0))
@@ -120,6 +124,6 @@ def outliers(train: np.ndarray, flags: np.ndarray, stages: list[np.ndarray], cha
         channels: Of the residuals.
     """
     sigma = robust_sigma(stages[-1][train], channels)
-    far = np.all([distance(r, sigma, channels) > FAR for r in stages], axis=0)
+    far = np.all([distance(r, sigma, channels) > GROSS_OUTLIER_SCALES for r in stages], axis=0)
     far[train] = flags
     return far

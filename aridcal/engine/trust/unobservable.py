@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from aridcal.engine.model.model import Model, Rows
-from aridcal.engine.trust.coverage import CHANNELS
-from aridcal.engine.trust.workspace import TOLD, OpenCombination, target_covariance, worst_direction
+from aridcal.engine.model.model import Model, ModelRows
+from aridcal.engine.trust.coverage import POSE_PARTS
+from aridcal.engine.trust.workspace import KNOWN_TARGET_SIGMA, OpenCombination, target_covariance, worst_direction
 
 
-def with_untold(
+def with_unobservable(
     model: Model, theta: np.ndarray, untold: Sequence[OpenCombination]
 ) -> tuple[Model, np.ndarray, np.ndarray]:
     """A model with the constants that no reading tells beside its own, its coefficients, and their covariance.
@@ -31,7 +31,9 @@ def with_untold(
     return model.with_coefficients(coefficients), np.append(theta, np.zeros(len(extra))), factors @ factors.T
 
 
-def told_of(model: Model, theta: np.ndarray, untold: Sequence[OpenCombination], rows: Rows, turns: bool) -> np.ndarray:
+def observable_rows(
+    model: Model, theta: np.ndarray, untold: Sequence[OpenCombination], rows: ModelRows, turns: bool
+) -> np.ndarray:
     """Rows at which the readings tell the target wholly, shape (N,) bool.
 
     Args:
@@ -41,6 +43,6 @@ def told_of(model: Model, theta: np.ndarray, untold: Sequence[OpenCombination], 
         rows: N rows.
         turns: Whether the target's rotation counts, too.
     """
-    covariance = target_covariance(*with_untold(model, theta, untold), rows)
-    parts = CHANNELS if turns else CHANNELS[:1]
-    return np.all([worst_direction(covariance[:, part, part])[0] < TOLD for part in parts], axis=0)
+    covariance = target_covariance(*with_unobservable(model, theta, untold), rows)
+    parts = POSE_PARTS if turns else POSE_PARTS[:1]
+    return np.all([worst_direction(covariance[:, part, part])[0] < KNOWN_TARGET_SIGMA for part in parts], axis=0)

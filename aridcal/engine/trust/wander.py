@@ -52,26 +52,26 @@ SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 3.0)
 """Variance of what wanders, in that of the noise; each of these and none is as likely beforehand. A smaller one is a tenth of a
 sigma, which the mean of 30 rows does not show; with a larger one the scatter of the rows is nearly all that there is."""
 
-KEPT = 0.01
+LEAST_PROBABILITY = 0.01
 """Work: Probability below which a process is not kept: it could change no chance of 1 % by more than that of the others is
 known."""
 
-ROWS = 600
+MOST_WANDER_ROWS = 600
 """Work: Rows at the most that are asked: the chance of each process is then decided where they tell of it at all."""
 
-CENTRES = 60
+PROCESS_CENTRES = 60
 """Work: Configurations around which a process over all joints is spanned; six joints at each."""
 
-BEYOND = 0.5
+NODES_BEYOND = 0.5
 """Work: Lengths by which the nodes of a process over one joint reach beyond what was seen."""
 
 TRAVEL = 4.0
 """[rad] that count as the seen travel of a joint that slides: what joints that turn usually go through."""
 
-NODES = 40
+QUADRATURE_NODES = 40
 """Work: Of a sum over a joint's range: it errs by less than a thousandth where the process is longer than a tenth of that."""
 
-RIDGE = 1e-6
+NODE_RIDGE = 1e-6
 """Work: Added to the unit variance of a process at its nodes: more than rounding, and a thousandth of its sigma."""
 
 
@@ -103,7 +103,7 @@ class Wander:
 
 
 @dataclass(frozen=True, eq=False)
-class Wandering:
+class WanderProcesses:
     """Processes at some rows.
 
     Attributes:
@@ -122,12 +122,12 @@ class Wandering:
     joints: tuple[tuple[int, ...], ...]
     slides: np.ndarray
 
-    def one_by_one(self) -> Iterator[tuple[float, Wandering]]:
+    def one_by_one(self) -> Iterator[tuple[float, WanderProcesses]]:
         """Each process as if it were certain, with its probability; last that none is, with its own."""
         for process in self.processes:
             yield process.probability, replace(self, processes=(replace(process, probability=1.0),))
         none = 1.0 - sum(process.probability for process in self.processes)
-        if none > KEPT or not self.processes:
+        if none > LEAST_PROBABILITY or not self.processes:
             yield none, replace(self, processes=())
 
     @cached_property
@@ -146,7 +146,9 @@ class Wandering:
         """
         unit = units(self.low, self.high, self.slides, self.joints) * process.length
         q = self.readings / unit
-        nodes = (self.low + (self.high - self.low) * (np.arange(NODES)[:, None] + 0.5) / NODES) / unit
+        nodes = (
+            self.low + (self.high - self.low) * (np.arange(QUADRATURE_NODES)[:, None] + 0.5) / QUADRATURE_NODES
+        ) / unit
         to_mean = np.exp(-0.5 * (q[:, None] - nodes) ** 2).mean(axis=1)
         means = np.exp(-0.5 * (nodes[:, None] - nodes) ** 2).mean(axis=(0, 1))
         if process.over == "all":
@@ -158,7 +160,7 @@ class Wandering:
 
 def wandering(
     processes: Sequence[Wander], robot: Robot, readings: np.ndarray, ranges: dict[str, tuple[float, float]]
-) -> Wandering:
+) -> WanderProcesses:
     """Processes of a robot's zeros at some rows.
 
     Args:
@@ -168,7 +170,7 @@ def wandering(
         ranges: Lowest and highest value of each reading in the calibration.
     """
     low, high = np.array([ranges[name] for name in robot.readings]).T
-    return Wandering(tuple(processes), readings, low, high, *_joints(robot))
+    return WanderProcesses(tuple(processes), readings, low, high, *_joints(robot))
 
 
 def _joints(robot: Robot) -> tuple[tuple[tuple[int, ...], ...], np.ndarray]:
@@ -224,7 +226,7 @@ def wanders(fit: Fit, data: Dataset, sigma: np.ndarray, tails: Sequence[Tails | 
         weight=np.ones(len(data)),
     )
     scale = np.array([s if t is None else t.sigma for s, t in zip(sigma, tails, strict=True)])
-    rows = _weighed(columns_of(wide, data, scale, ROWS), tails)
+    rows = _weighed(columns_of(wide, data, scale, MOST_WANDER_ROWS), tails)
     joints, slides = _joints(robot)
     place = {c: k for k, c in enumerate(wide.model.coefficients)}
     Z = rows.J[:, :, [place[c] for c in zeros]] * np.where(slides, span, 1.0)
@@ -247,7 +249,7 @@ def wanders(fit: Fit, data: Dataset, sigma: np.ndarray, tails: Sequence[Tails | 
     chance[1:, 0] = 0.0
     chance[0, 0] *= len(PROCESSES)
     chance /= chance.sum()
-    chance[chance < KEPT] = 0.0
+    chance[chance < LEAST_PROBABILITY] = 0.0
     chance /= chance.sum()
     # The rows scatter by both: what is shared, and noise.
     sizes = np.sqrt(variances[1:] / (1.0 + np.array(SHARES)))
@@ -296,7 +298,7 @@ class _ProjectedRows:
 
     def _less(self, values: np.ndarray, some: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Right-hand sides of some rows, shape (n, m, d), less what the things take up of them."""
-        nothing = np.zeros((len(self._rows.known.left), values.shape[2]))
+        nothing = np.zeros((len(self._rows.prior.misfit), values.shape[2]))
         return self._rows.less(values, nothing, self._things, some)[0]
 
     def likelihoods(self, spans: Sequence[np.ndarray], variances: np.ndarray, freedom: float) -> np.ndarray:
@@ -357,7 +359,7 @@ def _parts(moved: np.ndarray, group: np.ndarray) -> list[tuple[np.ndarray, np.nd
 
 def _spans(over: Over, length: float, q: np.ndarray, joints: Sequence[Sequence[int]]) -> list[np.ndarray]:
     """A process of unit sigma of each joint at N rows, as columns of coefficients of unit variance, shape (N, d) each."""
-    some = np.random.default_rng(0).permutation(len(q))[:CENTRES]
+    some = np.random.default_rng(0).permutation(len(q))[:PROCESS_CENTRES]
     if over == "all":
         return [_spanned(q / length, q[some] / length)] * len(joints)
     spans = []
@@ -365,7 +367,7 @@ def _spans(over: Over, length: float, q: np.ndarray, joints: Sequence[Sequence[i
         q_joint = q[:, moving] / length
         nodes = q_joint[some] if moving else q_joint[:0]  # where a joint stands is a constant
         if len(moving) == 1:
-            low, high = float(q_joint.min()) - BEYOND, float(q_joint.max()) + BEYOND
+            low, high = float(q_joint.min()) - NODES_BEYOND, float(q_joint.max()) + NODES_BEYOND
             nodes = np.linspace(low, high, int(np.ceil(high - low)) + 1)[:, None]
         spans.append(_spanned(q_joint, nodes))
     return spans
@@ -373,5 +375,5 @@ def _spans(over: Over, length: float, q: np.ndarray, joints: Sequence[Sequence[i
 
 def _spanned(q: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """A process at places (N, d), all in lengths, from what it is at nodes (k, d), shape (N, k)."""
-    root = np.linalg.cholesky(_kernel(nodes, nodes) + RIDGE * np.eye(len(nodes)))
+    root = np.linalg.cholesky(_kernel(nodes, nodes) + NODE_RIDGE * np.eye(len(nodes)))
     return np.linalg.solve(root, _kernel(nodes, q)).T

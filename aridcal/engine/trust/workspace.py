@@ -24,41 +24,41 @@ from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.engine.corrections.regional_kind import far_from_nodes
 from aridcal.engine.fit.constants import has_world, measures_target
 from aridcal.engine.fit.least_squares import Fit, thin
-from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.noise import covariance_of_rows
 from aridcal.engine.fit.normal_equations import solve
-from aridcal.engine.fit.problem import BLOCK, problem
+from aridcal.engine.fit.problem import ROWS_PER_BLOCK, problem
 from aridcal.engine.fit.residual import linearise
-from aridcal.engine.model.many_rows import blocks, few
-from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.many_rows import blocks, short_stretches
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.coverage import CHANNELS, Seen, holes, largest
+from aridcal.engine.trust.coverage import POSE_PARTS, Coverage, holes, largest
 
-SAMPLES = 512
+WORKSPACE_SAMPLES = 512
 """Work: Configurations over the workspace: a share of 5 % is then known to 1 %, and the worst of them is that of all but some
 thousandths."""
 
-LOOSE = 0.1
+UNTOLD_SIGMA = 0.1
 """[m] and [rad]: what a constant, or an effect at the target, may be off by that no row tells. No robot is wrong by more; what is
 told is known a thousand times better, so that its size decides nothing else. Plans and comparisons take the same."""
 
-TOLD = 0.01
-"""[m] and [rad]: a target that what no row tells may move by more is not known. A tenth of :data:`LOOSE`."""
+KNOWN_TARGET_SIGMA = 0.01
+"""[m] and [rad]: a target that what no row tells may move by more is not known. A tenth of :data:`UNTOLD_SIGMA`."""
 
-FAINTLY = 0.1
-"""Share of :data:`TOLD` by which a combination of constants moves the target somewhere, or is kept in no file."""
+FAINT_COMBINATION_SHARE = 0.1
+"""Share of :data:`KNOWN_TARGET_SIGMA` by which a combination of constants moves the target somewhere, or is kept in no file."""
 
 OpenCombination = tuple[tuple[Coefficient, float], ...]
 """A combination of constants, each with how far it may be off together with the others, [m] and [rad]."""
 
-ENOUGH = 20_000
+MOST_KNOWLEDGE_ROWS = 20_000
 """Work: Rows that tell what was measured, of more: sums over so many are those of all to a hundredth, and the largest
 uncertainty among them is that of all but one in some thousands."""
 
-ASKED = 100
+RIGID_MOTION_ROWS = 100
 """Work: Rows by which it is told whether something moves the whole arm as one body: six would do."""
 
-FELT = 1e-7
+RIGID_MOTION_TOLERANCE = 1e-7
 """Work: [m]: what a motion is off by from that of one body, RMS, to be none; rounding is a thousand times smaller."""
 
 
@@ -74,18 +74,18 @@ class Workspace:
         turns: Covariance of the rotation vector, world axes, shape (M, 3, 3), [rad²].
         axes: Base axes in the world, shape (M, 3, 3).
         measured: False where nothing like it was measured: the model extrapolates there, shape (M,).
-        told: False where the place is not known, because no reading tells a part of what moves it, shape (M,).
+        observable: False where the place is not known, because no reading tells a part of what moves it, shape (M,).
         turns_told: False where the rotation is not known, likewise, shape (M,).
     """
 
-    rows: Rows
+    rows: ModelRows
     readings: np.ndarray
     places: np.ndarray
     covariance: np.ndarray
     turns: np.ndarray
     axes: np.ndarray
     measured: np.ndarray
-    told: np.ndarray
+    observable: np.ndarray
     turns_told: np.ndarray
 
     def __len__(self) -> int:
@@ -125,16 +125,16 @@ class Knowledge:
         wide: Its model, with the D constants that were not identified behind its own K coefficients.
         follows: What the coefficients take up of each of the D constants, shape (K, D).
         open: Covariance of the D constants beyond that: what no row tells, shape (D, D).
-        seen: What the fitted rows were like.
+        coverage: What the fitted rows were like.
     """
 
     fit: Fit
     wide: Model
     follows: np.ndarray
     open: np.ndarray
-    seen: Seen
+    coverage: Coverage
 
-    def columns(self, rows: Rows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def columns(self, rows: ModelRows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """How a point on the target moves, and the target turns, with the coefficients and with the open constants.
 
         Args:
@@ -168,38 +168,38 @@ class Knowledge:
         axes, origin = self._bases(rows)
         places, covariance, turns = np.empty((len(rows), 3)), *np.empty((2, len(rows), 3, 3))
         std, unknown = np.empty((len(rows), 6)), np.empty((2, len(rows)))
-        for start in range(0, len(rows), BLOCK):
-            some = slice(start, start + BLOCK)
+        for start in range(0, len(rows), ROWS_PER_BLOCK):
+            some = slice(start, start + ROWS_PER_BLOCK)
             p, by_coefficients, by_open = self._spread(rows[some], np.asarray(tool, dtype=float))
             total = by_coefficients + by_open
             places[some] = np.einsum("nji,nj->ni", axes[some], p - origin[some])
             covariance[some], turns[some] = total[:, :3, :3], total[:, 3:, 3:]
             std[some] = np.sqrt(np.maximum(np.einsum("nii->ni", by_coefficients), 0.0))
-            unknown[:, some] = [worst_direction(by_open[:, part, part])[0] for part in CHANNELS]
+            unknown[:, some] = [worst_direction(by_open[:, part, part])[0] for part in POSE_PARTS]
         columns = {name: values[like] for name, values in data.conditions.items()}
         columns |= dict(zip(model.robot.readings, readings.T, strict=True))
-        measured, determined = ~self.seen.beyond(columns, std), unknown < TOLD
+        measured, determined = ~self.coverage.beyond(columns, std), unknown < KNOWN_TARGET_SIGMA
         fields = [c.basis for c in model.coefficients if c.basis.form == "ball"]
         if fields:
             nominal = model.target_places(rows, readings)
             measured &= ~far_from_nodes(fields, nominal)
         return Workspace(rows, readings, places, covariance, turns, axes, measured, *determined)
 
-    def _spread(self, rows: Rows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _spread(self, rows: ModelRows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A point on the target as :meth:`columns` has it, and its covariance by the coefficients and by the open constants."""
         local, extra = self.wide.local, len(self.open)
         if local is None:
             p, by_coefficients, by_open = self.columns(rows, tool)
-            return p, carried(by_coefficients, self.fit.covariance), carried(by_open, self.open)
+            return p, covariance_of_rows(by_coefficients, self.fit.covariance), covariance_of_rows(by_open, self.open)
         R, p, twists = self.wide.motions(np.append(self.fit.theta, np.zeros(extra)), rows)
         arm, covariance = R @ tool, np.pad(self.fit.covariance, (0, extra))
         twists = shifted(twists, arm)
         # Only constants follow the open ones: coefficients that act in few rows have no part in it.
         combinations = np.vstack([-self.follows, np.eye(extra)])[local.plain]
         by_open = twists[:, :, local.carrier[local.plain]] @ combinations
-        return p + arm, local.carried(twists, rows.phi, covariance), carried(by_open, self.open)
+        return p + arm, local.carried(twists, rows.phi, covariance), covariance_of_rows(by_open, self.open)
 
-    def untold(self, rows: Rows, turns: bool) -> tuple[OpenCombination, ...]:
+    def untold(self, rows: ModelRows, turns: bool) -> tuple[OpenCombination, ...]:
         """Independent combinations of constants that no reading tells, and that move the target or turn it somewhere.
 
         Args:
@@ -214,7 +214,7 @@ class Knowledge:
         _, _, axes = np.linalg.svd(by_open.reshape(-1, len(size)), full_matrices=False)
         moves = np.linalg.norm((by_open @ axes.T).reshape(len(rows), -1, 3, len(axes)), axis=2).max(axis=(0, 1))
         combinations = []
-        for axis in axes[moves > FAINTLY * TOLD]:
+        for axis in axes[moves > FAINT_COMBINATION_SHARE * KNOWN_TARGET_SIGMA]:
             theta = np.concatenate([-self.follows @ size @ axis, size @ axis])
             of = zip(self.wide.coefficients, theta.tolist(), strict=True)
             combinations.append(tuple((c, value) for c, value in of if value and c.basis.constant))
@@ -230,13 +230,13 @@ class Knowledge:
             places[part] = np.einsum("nji,nj->ni", axes, at - origin)
         return places
 
-    def _rows(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> Rows:
+    def _rows(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> ModelRows:
         """Rows of the model at other readings, under the conditions of the rows ``like``."""
         covariates = {name: values[like] for name, values in data.conditions.items()}
         station, target = (None if v is None else v[like] for v in (data.labels.station, data.labels.target))
         return self.fit.model.rows(readings, covariates, station, target)
 
-    def _bases(self, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    def _bases(self, rows: ModelRows) -> tuple[np.ndarray, np.ndarray]:
         """Axes of each row's base in the world, shape (M, 3, 3), and its origin, shape (M, 3), [m]."""
         bases = self.fit.model.frames(self.fit.theta)[0]
         axes = np.array([frame.rotation for _, frame in bases])
@@ -257,7 +257,7 @@ def worst_direction(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def target_covariance(
-    model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows, tool: np.ndarray | None = None
+    model: Model, theta: np.ndarray, covariance: np.ndarray, rows: ModelRows, tool: np.ndarray | None = None
 ) -> np.ndarray:
     r"""Covariance :math:`J \Sigma J^T` of the target's position [m] and rotation vector [rad], world axes, shape (N, 6, 6).
 
@@ -273,14 +273,16 @@ def target_covariance(
         covariances[of] = target_covariance(
             chain, theta[of_chain], covariance[np.ix_(of_chain, of_chain)], its_rows, tool
         )
-    for some in [] if chains else few(len(rows)):
+    for some in [] if chains else short_stretches(len(rows)):
         R, _, J = (model.jacobian if local is None else model.motions)(theta, rows[some])
         J = J if tool is None else shifted(J, R @ tool)
-        covariances[some] = carried(J, covariance) if local is None else local.carried(J, rows.phi[some], covariance)
+        covariances[some] = (
+            covariance_of_rows(J, covariance) if local is None else local.carried(J, rows.phi[some], covariance)
+        )
     return covariances
 
 
-def target_std(model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows) -> np.ndarray:
+def target_std(model: Model, theta: np.ndarray, covariance: np.ndarray, rows: ModelRows) -> np.ndarray:
     """Roots of the diagonals of :func:`target_covariance`, shape (N, 6): the whole would take six times the memory."""
     std = np.empty((len(rows), 6))
     for part in blocks(len(rows)):
@@ -312,7 +314,7 @@ def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Kn
     follows, open_covariance = np.zeros((count, extra)), np.zeros((extra, extra))
     if extra:
         wide_problem = problem(wide, train)
-        some = thin(wide_problem.rows, ENOUGH, wide_problem.groups)
+        some = thin(wide_problem.rows, MOST_KNOWLEDGE_ROWS, wide_problem.groups)
         weight = fit.weight[some] * (len(train) / len(some))
         at = np.append(fit.theta, np.zeros(extra))
         wide_problem = wide_problem if len(some) == len(wide_problem) else wide_problem.select(some)
@@ -324,7 +326,7 @@ def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Kn
         values, vectors = np.linalg.eigh(0.5 * (remaining + remaining.T))
         size = wide.sizes[count:]
         open_covariance = np.linalg.inv(
-            vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(1.0 / (LOOSE * size) ** 2)
+            vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(1.0 / (UNTOLD_SIGMA * size) ** 2)
         )
     result = Knowledge(fit, wide, follows, open_covariance, _coverage(fit, train))
     conventions = [] if has_world(train) else ["world_base"]
@@ -339,7 +341,7 @@ def _less_frames(frames: Sequence[str], known_model: Knowledge, train: Dataset) 
     measure everything, whose own mounting takes up the error of the last link.
     """
     model, count = known_model.fit.model, len(known_model.fit.theta)
-    some = np.unique(np.linspace(0, len(train) - 1, ASKED).round().astype(int))
+    some = np.unique(np.linspace(0, len(train) - 1, RIGID_MOTION_ROWS).round().astype(int))
     part = train.select(some)
     rows = rows_of_data(model, part)
     rigid = [Coefficient(frame, component) for frame in frames for component in FRAME_COMPONENTS]
@@ -348,31 +350,31 @@ def _less_frames(frames: Sequence[str], known_model: Knowledge, train: Dataset) 
     _, _, by_open = known_model.columns(rows, np.zeros(3))
     moves = J[:, :, count:].reshape(-1, len(rigid))
     size = known_model.wide.sizes[count:]
-    flat = by_open.reshape(len(moves), -1) * (LOOSE * size)
+    flat = by_open.reshape(len(moves), -1) * (UNTOLD_SIGMA * size)
     _, values, V = np.linalg.svd(flat - moves @ np.linalg.lstsq(moves, flat, rcond=None)[0])
     matters = np.zeros(len(V), dtype=bool)
-    matters[: len(values)] = values > FELT * np.sqrt(len(moves))
+    matters[: len(values)] = values > RIGID_MOTION_TOLERANCE * np.sqrt(len(moves))
     projector = size[:, None] * (V[matters].T @ V[matters]) / size
     return replace(known_model, open=projector @ known_model.open @ projector.T)
 
 
-def _coverage(fit: Fit, train: Dataset) -> Seen:
+def _coverage(fit: Fit, train: Dataset) -> Coverage:
     """Ranges, holes and largest uncertainty of the fitted rows without outliers."""
     inliers = train.select(~fit.outliers)
     model = fit.model
     columns = dict(zip(model.robot.readings, inliers.readings.T, strict=True))
     columns |= {name: inliers.conditions[name] for name in model.needs}
     rows = rows_of_data(model, inliers)
-    rows = rows[thin(rows, ENOUGH)]
+    rows = rows[thin(rows, MOST_KNOWLEDGE_ROWS)]
     std = target_std(model, fit.theta, fit.covariance, rows)
     if not inliers.sees_turns:  # that of a target whose rotation was never measured says nothing
         std[:, 3:] = np.inf
     ranges = {name: (float(np.nanmin(v)), float(np.nanmax(v))) for name, v in columns.items()}
     gaps = {name: gap for name, v in columns.items() if (gap := holes(v))}
-    return Seen(ranges, gaps, largest(std))
+    return Coverage(ranges, gaps, largest(std))
 
 
-def spread_out(low: np.ndarray, high: np.ndarray, count: int = SAMPLES) -> np.ndarray:
+def spread_out(low: np.ndarray, high: np.ndarray, count: int = WORKSPACE_SAMPLES) -> np.ndarray:
     r"""Configurations evenly between two corners, shape (count, columns), by an additive sequence.
 
     .. math:: u_n = (1/2 + n \alpha) \bmod 1, \qquad \alpha_k = g^{-k}, \qquad g^{d+1} = g + 1

@@ -9,10 +9,10 @@ import charset_normalizer
 
 from aridcal.system.errors import MeasurementError
 
-LOOKED_AT = 200_000
+ENCODING_SAMPLE = 200_000
 """Bytes from the beginning that are looked at: names of columns stand there."""
 
-FEW = 0.05
+NOUGHTS_SHARE = 0.05
 """Share of noughts that UTF-16 has far more of."""
 
 WESTERN = frozenset("äöüÄÖÜßàâáãåæçèéêëìíîïñòóôõøùúûÿÀÂÁÃÅÆÇÈÉÊËÌÍÎÏÑÒÓÔÕØÙÚÛ°µ±²³·×€–—’‘“”«»\u00a0§")
@@ -29,9 +29,9 @@ def encoding(content: bytes, path: Path) -> str:
         return "utf-32"
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    begin = content[:LOOKED_AT]
+    begin = content[:ENCODING_SAMPLE]
     if b"\0" in begin:
-        if begin.count(0) > FEW * len(begin) or not _is_utf8(content):
+        if begin.count(0) > NOUGHTS_SHARE * len(begin) or not _is_utf8(content):
             return _without_mark(begin, path)
         return "utf-8"  # a slip, which whoever reads the table names
     if _is_utf8(content):

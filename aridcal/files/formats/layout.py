@@ -8,18 +8,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from aridcal.files.formats.numbers_seen import is_number
+from aridcal.files.formats.number_marks import is_number
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import BLANKS
-from aridcal.system.reading.written import is_units, joined, split_line, uncommented
+from aridcal.system.reading.tables_in_dialect import is_units, joined_header, split_line, strip_comment
 
-SEPARATORS = ("\t", ";", ",", "|", BLANKS)
+TRIED_SEPARATORS = ("\t", ";", ",", "|", BLANKS)
 """Tried in this order; of two that part the same numbers the first, blanks only where nothing else parts any."""
 
-FEWEST = 3
+FEWEST_NUMBERS = 3
 """Numbers of a row: a table of measurements has more columns than that."""
 
-MOST = 0.8
+NUMERIC_SHARE = 0.8
 """Share of rows in which a column is a number, if it is one of numbers."""
 
 ABOVE = 12
@@ -40,7 +40,7 @@ LAST_CHOSEN = frozenset({"id", "parent", "type"})
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """Where a table stands.
 
     Attributes:
@@ -64,10 +64,10 @@ class Layout:
     score: int
 
 
-def layout(lines: Sequence[str]) -> Layout | None:
+def layout(lines: Sequence[str]) -> TableLayout | None:
     """The layout that makes the most numbers of some lines; None where none makes a table of them."""
-    best: Layout | None = None
-    for separator in SEPARATORS:
+    best: TableLayout | None = None
+    for separator in TRIED_SEPARATORS:
         if separator == BLANKS and best is not None:  # words of names are parted by blanks, too
             return best
         found = _layout(lines, separator)
@@ -76,7 +76,7 @@ def layout(lines: Sequence[str]) -> Layout | None:
     return best
 
 
-def _layout(lines: Sequence[str], separator: str) -> Layout | None:
+def _layout(lines: Sequence[str], separator: str) -> TableLayout | None:
     marks = tuple(mark for mark in COMMENTS if mark != separator)
     used: set[str] = set()
     split: list[list[str]] = []
@@ -88,12 +88,12 @@ def _layout(lines: Sequence[str], separator: str) -> Layout | None:
         split.append(split_line(line, separator))
     counts = [0 if c else sum(map(_weight, cells)) for c, cells in zip(commented, split, strict=True)]
     widths = Counter(
-        len(cells) for cells, count in zip(split, counts, strict=True) if count >= FEWEST and len(cells) > 1
+        len(cells) for cells, count in zip(split, counts, strict=True) if count >= FEWEST_NUMBERS and len(cells) > 1
     )
     if not widths:
         return None
     width = max(widths, key=lambda size: (widths[size] * size, size))
-    rows = [k for k, cells in enumerate(split) if counts[k] >= FEWEST and len(cells) == width]
+    rows = [k for k, cells in enumerate(split) if counts[k] >= FEWEST_NUMBERS and len(cells) == width]
     numeric = _numeric([split[k] for k in rows], width)
     rows = [k for k in rows if _is_row(split[k], numeric)]
     if not rows:
@@ -104,9 +104,9 @@ def _layout(lines: Sequence[str], separator: str) -> Layout | None:
         first -= 1
     comment = sorted(used) + _summaries(split, rows, numeric, first)
     header = _header(lines, split, commented, first, comment, separator, numeric, width)
-    names = joined([split_line(uncommented(lines[k], comment), separator) for k in header]) if header else []
+    names = joined_header([split_line(strip_comment(lines[k], comment), separator) for k in header]) if header else []
     _refuse_second_header(split, header, rows, numeric)
-    return Layout(
+    return TableLayout(
         separator, tuple(k + 1 for k in header), first + 1, tuple(comment), tuple(names),
         tuple(tuple(split[k]) for k in rows), frozenset(numeric), sum(counts[k] for k in rows),
     )  # fmt: skip
@@ -140,14 +140,14 @@ def _numeric(rows: Sequence[Sequence[str]], width: int) -> set[int]:
     numeric = set()
     for k in range(width):
         filled = [row[k] for row in rows if row[k]]
-        if filled and sum(1 for cell in filled if _weight(cell)) >= MOST * len(filled):
+        if filled and sum(1 for cell in filled if _weight(cell)) >= NUMERIC_SHARE * len(filled):
             numeric.add(k)
     return numeric
 
 
 def _is_row(cells: Sequence[str], numeric: set[int]) -> bool:
     """True of a line that has numbers, or nothing, where rows have numbers."""
-    return sum(1 for k in numeric if not cells[k] or _weight(cells[k])) >= MOST * len(numeric)
+    return sum(1 for k in numeric if not cells[k] or _weight(cells[k])) >= NUMERIC_SHARE * len(numeric)
 
 
 def _is_broken_row(cells: Sequence[str], numeric: set[int]) -> bool:
@@ -199,7 +199,7 @@ def _header(
     above: list[int] = []
     cells_of: dict[int, list[str]] = {}
     for k in range(first - 1, max(first - 1 - ABOVE, -1), -1):
-        cells = split_line(uncommented(lines[k], comment), separator) if commented[k] else list(split[k])
+        cells = split_line(strip_comment(lines[k], comment), separator) if commented[k] else list(split[k])
         if not cells:
             if above:
                 break
@@ -220,7 +220,7 @@ def _header(
     upper = sorted(above[1:], key=lambda k: any(cell.lower() in LAST_CHOSEN for cell in cells_of[k][:2]))
     choices = [(above[0],), *((k, above[0]) for k in upper), *((a, b, above[0]) for a, b in combinations(upper, 2))]
     for chosen in choices:
-        names = joined([cells_of[k] for k in sorted(chosen)])
+        names = joined_header([cells_of[k] for k in sorted(chosen)])
         shown = [names[k] if k < len(names) else "" for k in sorted(numeric)]
         if all(name and not is_number(name) and "#" not in name.split(" ")[-1] for name in shown):
             return sorted([*chosen, *units])

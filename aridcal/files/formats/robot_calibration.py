@@ -14,11 +14,11 @@ from typing import Any
 
 import yaml
 
-from aridcal.system.errors import MeasurementError, listed, shortened
+from aridcal.system.errors import MeasurementError, name_list, shortened
 
-NAME = "robot_calibration"
+FORMAT_NAME = "robot_calibration"
 
-ENDINGS = (".yaml", ".yml")
+CALIBRATION_ENDINGS = (".yaml", ".yml")
 
 MOST_EVENTS = 5_000_000
 """Of a file: some 20,000 samples of ten joints and a board of twenty corners."""
@@ -73,7 +73,7 @@ def as_csv(content: bytes, path: Path, sensor: str) -> bytes:
         rows += [[number, *sample["joints"].values(), *point, k] for k, point in enumerate(points, start=1)]
     if not rows:
         known = sorted({name for sample in samples for name, _ in sample["observations"]})
-        raise MeasurementError(f"{path}: no sample has points of {shortened(sensor)!r}; there are {listed(known)}")
+        raise MeasurementError(f"{path}: no sample has points of {shortened(sensor)!r}; there are {name_list(known)}")
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     header = ["sample", *joints, "x", "y", "z", "target"]

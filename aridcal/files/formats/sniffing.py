@@ -13,21 +13,21 @@ from pathlib import Path
 
 from aridcal.files.formats import robot_calibration
 from aridcal.files.formats.encodings import encoding
-from aridcal.files.formats.layout import Layout, layout, list_parts, list_size
+from aridcal.files.formats.layout import TableLayout, layout, list_parts, list_size
 from aridcal.files.formats.makers import maker
-from aridcal.files.formats.numbers_seen import is_number, marks
-from aridcal.system.errors import MeasurementError, listed
+from aridcal.files.formats.number_marks import is_number, marks
+from aridcal.system.errors import MeasurementError, name_list
 from aridcal.system.reading import workbooks
 from aridcal.system.reading.dates import has_date, orders, seconds
 from aridcal.system.reading.dialect import PLAIN, Dates, Dialect
-from aridcal.system.reading.numerals import several
+from aridcal.system.reading.numerals import numbers_in_list
 from aridcal.system.reading.regular_files import Limit
-from aridcal.system.reading.written import LINE_END, decoded
+from aridcal.system.reading.tables_in_dialect import LINE_END, decoded
 
-LOOKED_AT = 3000
+SNIFFED_LINES = 3000
 """Lines that are looked at: more make nothing plainer."""
 
-MOST = 4_000_000
+MOST_CHARACTERS = 4_000_000
 """Characters that are looked at; some of a line of any length."""
 
 AT_FIRST = 40
@@ -36,7 +36,7 @@ AT_FIRST = 40
 POSE_OF_SIX = ("x", "y", "z", "rx", "ry", "rz")
 """Names for a list of six numbers that is called a pose."""
 
-GROUP = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
+NESTED_LIST = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
 """A list in a list."""
 
 POSE_OF_SEVEN = ("x", "y", "z", "q1", "q2", "q3", "q4")
@@ -49,7 +49,7 @@ Pick = Callable[[str, str, Sequence[str], str], int]
 
 
 @dataclass(frozen=True)
-class Found:
+class FileFormat:
     """How a file is written.
 
     Attributes:
@@ -61,7 +61,7 @@ class Found:
     maker: str = ""
 
 
-def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
+def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> FileFormat:
     """Find out how a file is written.
 
     Args:
@@ -74,23 +74,23 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
         MeasurementError: it is no table, or one that is written in two ways at once.
     """
     ending = path.suffix.lower()
-    if ending in robot_calibration.ENDINGS:
+    if ending in robot_calibration.CALIBRATION_ENDINGS:
         return _samples(content, path, pick)
     sheet, coded, separated = "", "utf-8", ","
-    if ending in workbooks.ENDINGS:
+    if ending in workbooks.WORKBOOK_ENDINGS:
         sheet, text = _sheet(content, path, limit, pick)
     else:
         coded = encoding(content, path)
         text = decoded(content, path, coded)
-    lines = LINE_END.split(text[:MOST])[:LOOKED_AT]
+    lines = LINE_END.split(text[:MOST_CHARACTERS])[:SNIFFED_LINES]
     who = maker(lines[:AT_FIRST])
     try:
         found = layout(lines)
     except MeasurementError as problem:
         raise MeasurementError(f"{path}, {problem}") from None
     if found is None:
-        return Found((replace(PLAIN, encoding=coded, sheet=sheet),), who)
-    if ending not in workbooks.ENDINGS:
+        return FileFormat((replace(PLAIN, encoding=coded, sheet=sheet),), who)
+    if ending not in workbooks.WORKBOOK_ENDINGS:
         separated = found.separator
     if not found.header:
         raise MeasurementError(
@@ -108,10 +108,10 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
     base = replace(base, lists=_lists(found), dates=_dates(found, path, pick))
     numbers = [row[k] for row in found.rows for k in found.numeric if k < len(row) and is_number(row[k])]
     numbers += [part for row in found.rows for cell in row for part in list_parts(cell)]
-    if sheet or ending in workbooks.ENDINGS:
+    if sheet or ending in workbooks.WORKBOOK_ENDINGS:
         numbers = [cell for cell in numbers if "," in cell] or numbers  # Excel's own numbers are none in any dialect
     pairs = marks(numbers, str(path))
-    return Found(tuple(replace(base, decimal=decimal, thousands=group) for decimal, group in pairs), who)
+    return FileFormat(tuple(replace(base, decimal=decimal, thousands=group) for decimal, group in pairs), who)
 
 
 def as_keys(dialect: Dialect) -> dict[str, object]:
@@ -137,12 +137,12 @@ def _of(who: str) -> str:
     return f" (it looks like an export of {who})" if who else ""
 
 
-def _first_row(found: Layout) -> int:
+def _first_row(found: TableLayout) -> int:
     """0 where rows begin right below the header."""
     return 0 if found.first == max(found.header) + 1 else found.first
 
 
-def _samples(content: bytes, path: Path, pick: Pick) -> Found:
+def _samples(content: bytes, path: Path, pick: Pick) -> FileFormat:
     """Samples of robot_calibration, and the sensor that measured."""
     names = robot_calibration.sensors(content, path)
     if not names:
@@ -150,17 +150,19 @@ def _samples(content: bytes, path: Path, pick: Pick) -> Found:
             f"{path}: no sensor has points that change from sample to sample; measure more configurations"
         )
     k = 0 if len(names) == 1 else pick("table.sheet", "which sensor measured the target", names, f"{path} has several")
-    return Found((replace(PLAIN, export=robot_calibration.NAME, sheet=names[k]),), robot_calibration.NAME)
+    return FileFormat(
+        (replace(PLAIN, export=robot_calibration.FORMAT_NAME, sheet=names[k]),), robot_calibration.FORMAT_NAME
+    )
 
 
 def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, str]:
     """The sheet that holds a table, empty where there is one only, and its text."""
     names = workbooks.sheets(content, path, limit)
     texts = {name: workbooks.as_csv(content, path, limit, name, ".").decode() for name in names}
-    tables = [name for name in names if layout(texts[name][:MOST].split("\n")[:LOOKED_AT])]
+    tables = [name for name in names if layout(texts[name][:MOST_CHARACTERS].split("\n")[:SNIFFED_LINES])]
     if not tables:
         raise MeasurementError(
-            f"{path}: none of the sheets {listed(names)} holds a table of numbers; name the table that was measured"
+            f"{path}: none of the sheets {name_list(names)} holds a table of numbers; name the table that was measured"
         )
     k = (
         0
@@ -170,18 +172,18 @@ def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, s
     return ("" if len(names) == 1 else tables[k]), texts[tables[k]]
 
 
-def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
+def _lists(found: TableLayout) -> dict[str, tuple[str, ...]]:
     """Columns of lists, and names for their numbers."""
     lists: dict[str, tuple[str, ...]] = {}
     for k, name in enumerate(found.names):
         cells = [row[k] for row in found.rows if k < len(row) and row[k]]
-        sizes = {len(several(cell, PLAIN)) for cell in cells if list_size(cell)}
+        sizes = {len(numbers_in_list(cell, PLAIN)) for cell in cells if list_size(cell)}
         if not (name and cells) or len(sizes) != 1 or not all(map(list_size, cells)):
             continue
         size = sizes.pop()
         about = name.lower()
         named: tuple[str, ...] | None = None
-        groups = [len(several(part, PLAIN)) for part in GROUP.findall(cells[0])]
+        groups = [len(numbers_in_list(part, PLAIN)) for part in NESTED_LIST.findall(cells[0])]
         if groups[:2] == [3, 4]:  # RAPID's robtarget: place, orientation, axes' turns, other axes
             named = (*POSE_OF_SEVEN, *(f"{name} other {number}" for number in range(8, size + 1)))
         elif groups[:1] == [6] and len(groups) > 1:  # RAPID's jointtarget: the arm's axes, other axes
@@ -202,7 +204,7 @@ def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
     return lists
 
 
-def _dates(found: Layout, path: Path, pick: Pick) -> Dates | None:
+def _dates(found: TableLayout, path: Path, pick: Pick) -> Dates | None:
     """Columns of dates and times of day, if any, and the order of their numbers."""
     columns: list[str] = []
     for k, name in enumerate(found.names):
@@ -230,7 +232,7 @@ def _dates(found: Layout, path: Path, pick: Pick) -> Dates | None:
     )
 
 
-def _filled(found: Layout, k: int) -> list[str]:
+def _filled(found: TableLayout, k: int) -> list[str]:
     return [row[k] for row in found.rows if k < len(row) and row[k]]
 
 

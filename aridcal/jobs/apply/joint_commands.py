@@ -32,13 +32,13 @@ from aridcal.system.progress import SILENT, Progress
 if TYPE_CHECKING:
     import pandas as pd
 
-LEAST_MOTION = 1e-6
+LEAST_BACKLASH_MOTION = 1e-6
 """A joint that moves by less keeps its side of the backlash, [rad] or [m]."""
 RESTARTS = 30
 """Starts for a pose without a seed, or with one that leads nowhere, until one ends inside the measured ranges."""
 TURN = 2.0 * math.pi
 """Once round, [rad]."""
-DAMPING = 0.02
+SINGULARITY_DAMPING = 0.02
 """[m/rad]: a table does not correct along directions that move the target by less: there a singularity is near."""
 DAMPED_STEPS = 4
 """Newton's steps to a table's corrections; they are a thousandth of the joints' range, so that two would do."""
@@ -48,16 +48,16 @@ CHECK_POINTS = 300
 """Configurations between its points at which a table is checked."""
 
 
-Told = Callable[[int], None]
+RowCounter = Callable[[int], None]
 """Gets the number of rows that are done."""
 
 
-def unheard(rows: int) -> None:
+def ignore_count(rows: int) -> None:
     """Ignore the number of rows that are done."""
 
 
 def compensate(
-    saved: SavedModel, query: Query, trajectory: Trajectory | None = None, report: Told = unheard
+    saved: SavedModel, query: Query, trajectory: Trajectory | None = None, report: RowCounter = ignore_count
 ) -> pd.DataFrame:
     """Fill in the joint commands for each row of wanted poses.
 
@@ -83,7 +83,7 @@ def compensate(
     table = query.table.copy()
     cells = counting(settings, robot.readings, robot.kinds).cells(readings)
     names = [settings.columns.get(name, name) for name in robot.readings]
-    for k in np.flatnonzero(moved(saved) | np.isin(names, table.columns)):
+    for k in np.flatnonzero(commanded_columns(saved) | np.isin(names, table.columns)):
         table[names[k]] = cells[:, k]
     for name in directions(saved):
         table[settings.columns.get(name, name)] = settings.sense(name) * covariates[name]
@@ -96,7 +96,7 @@ def compensate(
     return with_told(saved, commanded, table)
 
 
-def moved(saved: SavedModel) -> np.ndarray:
+def commanded_columns(saved: SavedModel) -> np.ndarray:
     """Columns of readings that commands set, for any of the targets, shape (columns,) bool."""
     model = saved.final.model
     if len(model.routes) == 1:
@@ -123,7 +123,7 @@ class Trajectory:
         self._walks = _Walk(saved), _Walk(saved)
         self._sides = {name: (0.0, math.nan) for name in directions(saved)}
 
-    def follow(self, query: Query, report: Told = unheard) -> tuple[list[Command], dict[str, np.ndarray]]:
+    def follow(self, query: Query, report: RowCounter = ignore_count) -> tuple[list[Command], dict[str, np.ndarray]]:
         """Command the rows of one more stretch.
 
         Returns:
@@ -148,7 +148,7 @@ class Trajectory:
         robot = self._saved.final.model.robot
         positions = robot.positions(readings)[:, robot.names.index(name.removesuffix("_direction"))]
         side, last = self._sides[name]
-        sides = approach(positions, LEAST_MOTION, side, last)
+        sides = approach(positions, LEAST_BACKLASH_MOTION, side, last)
         finite = positions[~np.isnan(positions)]
         self._sides[name] = float(sides[-1]), float(finite[-1]) if len(finite) else last
         return sides
@@ -169,7 +169,7 @@ class _Walk:
         self._ranges = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
         self._last, self._rng = self._ranges.mean(axis=1), np.random.default_rng(0)
 
-    def commands(self, query: Query, covariates: Mapping[str, np.ndarray], report: Told) -> list[Command]:
+    def commands(self, query: Query, covariates: Mapping[str, np.ndarray], report: RowCounter) -> list[Command]:
         """Command the rows of one more stretch."""
         missing = sorted(self._needed - covariates.keys())
         if missing:
@@ -352,6 +352,6 @@ def _gentle(
     delta = np.zeros(len(q))
     for _ in range(DAMPED_STEPS):
         e, J = inverse.error(R, p, q + delta, covariates)
-        H = J.T @ J + DAMPING**2 * np.eye(len(q))
+        H = J.T @ J + SINGULARITY_DAMPING**2 * np.eye(len(q))
         delta = np.linalg.solve(H, J.T @ (e + J @ delta))
     return delta

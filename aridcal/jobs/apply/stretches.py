@@ -14,7 +14,7 @@ from aridcal.engine.rows.remarks import Remark
 from aridcal.files.tables import AnyTable, Table, is_number, read_tables
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import PLAIN, Dialect
-from aridcal.system.reading.regular_files import MEGA, TABLE, Limit
+from aridcal.system.reading.regular_files import MEGA, TABLE_LIMIT, Limit
 from aridcal.system.reading.table_files import FIRST_LINE, PANDAS_INDEX, check_header, check_size, read_csv
 
 STRETCH_BYTES = 2_000_000
@@ -26,7 +26,7 @@ NUMBER_BYTES = 18
 
 
 @dataclass(frozen=True)
-class Stretch:
+class TableStretch:
     """Some rows of a table, and their place in it.
 
     Attributes:
@@ -52,8 +52,8 @@ class Stretch:
 
 
 def stretches(
-    table: AnyTable, limit: Limit = TABLE, dialect: Dialect = PLAIN, needed: Sequence[str] = ()
-) -> Iterator[Stretch]:
+    table: AnyTable, limit: Limit = TABLE_LIMIT, dialect: Dialect = PLAIN, needed: Sequence[str] = ()
+) -> Iterator[TableStretch]:
     """Read a table a stretch at a time; a short one, a DataFrame, or one that is no plain csv, as a whole.
 
     Args:
@@ -66,7 +66,7 @@ def stretches(
         MeasurementError: as :func:`read_tables`.
     """
     path = Path(table) if isinstance(table, str | Path) else None
-    parts: Iterator[Stretch] = iter(())
+    parts: Iterator[TableStretch] = iter(())
     whole_file = dialect != PLAIN and path is not None and path.suffix.lower() != ".parquet"
     if (
         path is not None
@@ -85,10 +85,10 @@ def stretches(
         yield stretch
     if names is None:
         whole = read_tables([table], (), limit, dialect, needed)
-        yield Stretch(whole, 0, len(whole), len(whole))
+        yield TableStretch(whole, 0, len(whole), len(whole))
 
 
-def _of_csv(path: Path, limit: Limit) -> Iterator[Stretch]:
+def _of_csv(path: Path, limit: Limit) -> Iterator[TableStretch]:
     """Stretches of whole lines, each read below the header."""
     total, before = path.stat().st_size, 0
     with path.open("rb") as file:
@@ -98,7 +98,7 @@ def _of_csv(path: Path, limit: Limit) -> Iterator[Stretch]:
             block += file.readline()
             first, done = done, done + len(block)
             if not block.isspace():
-                yield Stretch(_table_of_csv(header + block, path, before, limit), first, done, total)
+                yield TableStretch(_table_of_csv(header + block, path, before, limit), first, done, total)
             before += block.count(b"\n") + block.count(b"\r") - block.count(b"\r\n")
 
 
@@ -118,7 +118,7 @@ def _table_of_csv(content: bytes, path: Path, before: int, limit: Limit) -> Tabl
     return _table(path, file_cells.cells, file_cells.line + before, refused)
 
 
-def _of_parquet(path: Path, limit: Limit) -> Iterator[Stretch]:
+def _of_parquet(path: Path, limit: Limit) -> Iterator[TableStretch]:
     """Stretches of rows; none of a file that is no parquet, or has words, which may be far larger in memory than in the file."""
     try:
         file = pa.parquet.ParquetFile(path)
@@ -135,7 +135,7 @@ def _of_parquet(path: Path, limit: Limit) -> Iterator[Stretch]:
             first, done = done, done + len(batch)
             if len(batch):
                 line = np.arange(first, done) + FIRST_LINE
-                yield Stretch(_table(path, pa.Table.from_batches([batch]), line, ()), first, done, total)
+                yield TableStretch(_table(path, pa.Table.from_batches([batch]), line, ()), first, done, total)
 
 
 def _table(path: Path, cells: pa.Table, line: np.ndarray, refused: Sequence[Remark]) -> Table:

@@ -10,29 +10,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.corrections.labels import STATION, label_in
+from aridcal.engine.corrections.labels import LABEL_COLUMN, label_in
 from aridcal.engine.corrections.regional_kind import far_from_nodes, labels_of, without_label
 from aridcal.engine.inverse.one_pose import InverseKinematics
 from aridcal.engine.model.model import Model
 from aridcal.engine.rows.remarks import Remark
-from aridcal.engine.trust.coverage import CLOCK, EXPANSION, Seen, beyond_heat, elsewhere
-from aridcal.engine.trust.rival_predictions import between
-from aridcal.engine.trust.unobservable import told_of
+from aridcal.engine.trust.coverage import CLOCK_COLUMN, EXPANSION, Coverage, beyond_heat, recorded_elsewhere
+from aridcal.engine.trust.rival_predictions import covariance_between
+from aridcal.engine.trust.unobservable import observable_rows
 from aridcal.engine.trust.workspace import spread_out, target_covariance, worst_direction
 from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import TARGET, MeasurementSettings
-from aridcal.files.orientations import QUATERNION, column_of, orientation_columns, other_way
-from aridcal.files.quantities import POSITION, STD
+from aridcal.files.orientations import QUATERNION, column_of, orientation_columns, swap_direction
+from aridcal.files.quantities import POSITION_COLUMNS, STD
 from aridcal.files.query import Query, QueryRows, load_query
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import MeasurementError
-from aridcal.system.reading.dates import of_the_day
+from aridcal.system.reading.dates import times_of_day
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from aridcal.files.tables import AnyTable, Table
-    from aridcal.jobs.apply.stretches import Stretch
+    from aridcal.jobs.apply.stretches import TableStretch
 
 
 def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query:
@@ -59,7 +59,7 @@ def nothing_usable(refused: Sequence[Remark], poses: bool) -> MeasurementError:
     )
 
 
-def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Iterator[tuple[Query, Stretch]]:
+def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Iterator[tuple[Query, TableStretch]]:
     """Read a query a stretch at a time: a table of any length takes little memory, and a long one is checked by stretches.
 
     Args:
@@ -78,7 +78,7 @@ def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Ite
     first: list[Remark] = []
     usable = False
     settings = saved.measurements
-    names = POSITION if poses else saved.final.model.robot.readings
+    names = POSITION_COLUMNS if poses else saved.final.model.robot.readings
     needed = [settings.columns.get(name, name) for name in names]
     for stretch in stretches(table, saved.limits.table, settings.table.dialect, needed):
         query = _query(saved, stretch.table, poses)
@@ -120,9 +120,13 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
 def _as_nights_count(saved: SavedModel, query: Query) -> Query:
     """A query whose times of day count on after midnight where those of the calibration do."""
     ranges = saved.seen
-    if CLOCK not in query.covariates or CLOCK not in ranges:
+    if CLOCK_COLUMN not in query.covariates or CLOCK_COLUMN not in ranges:
         return query
-    return replace(query, covariates=query.covariates | {CLOCK: of_the_day(query.covariates[CLOCK], *ranges[CLOCK])})
+    return replace(
+        query,
+        covariates=query.covariates
+        | {CLOCK_COLUMN: times_of_day(query.covariates[CLOCK_COLUMN], *ranges[CLOCK_COLUMN])},
+    )
 
 
 def _sides_unknown(saved: SavedModel, query: Query, file: str) -> Query:
@@ -204,7 +208,7 @@ def with_told(saved: SavedModel, query: Query, table: pd.DataFrame) -> pd.DataFr
         covariates = {name: values[usable] for name, values in query.covariates.items()}
         rows = final.model.rows(query.readings[usable], covariates, *query.labels(usable))
         determined = np.zeros(len(usable), dtype=bool)
-        determined[usable] = told_of(final.model, final.theta, saved.untold, rows, saved.turns)
+        determined[usable] = observable_rows(final.model, final.theta, saved.untold, rows, saved.turns)
         table["told"] = determined
     return table
 
@@ -224,8 +228,8 @@ def pose_columns(
         Values of each column, shape (N,) each, in the campaign's units; positions alone for `kind: position`.
     """
     units = settings.units
-    R, p = other_way(R, p, settings.inverted)
-    names = [column_of(name, settings, joints) for name in POSITION]
+    R, p = swap_direction(R, p, settings.inverted)
+    names = [column_of(name, settings, joints) for name in POSITION_COLUMNS]
     columns = dict(zip(names, (p / [units.scale(name, "length") for name in names]).T, strict=True))
     if settings.traits.place_alone:
         return columns
@@ -313,8 +317,8 @@ def std_of(saved: SavedModel, query: QueryRows) -> np.ndarray:
 def between_rivals(saved: SavedModel, query: QueryRows, tool: np.ndarray | None = None) -> np.ndarray:
     """Covariance of the target's pose between the causes that the rows could not tell apart, shape (N, 6, 6); NaN where unknown.
 
-    See :func:`aridcal.engine.trust.rival_predictions.between`. No row extrapolates because of it: where rivals differ, rows
-    may well be like the fitted ones.
+    See :func:`aridcal.engine.trust.rival_predictions.covariance_between`. No row extrapolates because of it: where rivals
+    differ, rows may well be like the fitted ones.
 
     Args:
         saved: The model.
@@ -327,7 +331,7 @@ def between_rivals(saved: SavedModel, query: QueryRows, tool: np.ndarray | None 
     covariates = {name: values[usable] for name, values in query.covariates.items()}
     final, ranges = saved.final, saved.seen
     covariance, labels = np.full((len(usable), 6, 6), np.nan), query.labels(usable)
-    covariance[usable] = between(
+    covariance[usable] = covariance_between(
         final.model, final.theta, saved.rivals, query.readings[usable], covariates, labels, ranges, tool
     )
     return covariance
@@ -346,8 +350,8 @@ def growth(saved: SavedModel, query: QueryRows) -> np.ndarray:
 def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.ndarray:
     """Rows that are unlike the fitted ones, shape (N,) bool.
 
-    See :meth:`aridcal.engine.trust.coverage.Seen.beyond` and :func:`aridcal.engine.trust.coverage.elsewhere`. Further rows are
-    those far from all nodes of a field in space, and those with another label than the effects by label have.
+    See :meth:`aridcal.engine.trust.coverage.Coverage.beyond` and :func:`aridcal.engine.trust.coverage.recorded_elsewhere`.
+    Further rows are those far from all nodes of a field in space, and those with another label than the effects by label have.
 
     Args:
         saved: The model.
@@ -355,9 +359,9 @@ def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.nda
         std: See :func:`std_of`.
     """
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
-    coverage = Seen(saved.ranges, saved.holes, saved.largest_std)
+    coverage = Coverage(saved.ranges, saved.holes, saved.largest_std)
     unlike = coverage.beyond(query.covariates | readings, std)
-    unlike |= elsewhere(query.covariates | readings, saved.recorded)
+    unlike |= recorded_elsewhere(query.covariates | readings, saved.recorded)
     unlike |= not readings.keys() <= saved.ranges.keys()  # joints on the way to a link that were not calibrated
     unlike |= without_label((c.basis for c in saved.final.model.coefficients), query.covariates, len(unlike))
     usable = query.usable & np.isfinite(query.readings).all(axis=1)
@@ -381,13 +385,15 @@ def evenly(saved: SavedModel) -> pd.DataFrame:
     for name in model.needs:
         table[settings.columns.get(name, name)] = settings.sense(name) * float(np.mean(saved.ranges[name]))
     if per_station(model):
-        named = zip((TARGET,) if saved.frames_by == TARGET else (STATION, TARGET), model.first_labels, strict=False)
+        named = zip(
+            (TARGET,) if saved.frames_by == TARGET else (LABEL_COLUMN, TARGET), model.first_labels, strict=False
+        )
         for name, label in named:
             if label is not None:
                 table[column_of(name, settings, robot.readings)] = label
     of_labels = labels_of(c.basis for c in model.coefficients)
-    if of_labels and column_of(STATION, settings, robot.readings) not in table:
-        table[column_of(STATION, settings, robot.readings)] = label_in(of_labels[0])
+    if of_labels and column_of(LABEL_COLUMN, settings, robot.readings) not in table:
+        table[column_of(LABEL_COLUMN, settings, robot.readings)] = label_in(of_labels[0])
     return table
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from aridcal.jobs.boards.finders import GRID_FLAGS, MOST_MISPLACED, detected, find_circles, misplaced
+from aridcal.jobs.boards.finders import GRID_FLAGS, MOST_MISPLACED, detect_markers, find_circles, misplaced
 from aridcal.jobs.boards.patterns import dictionaries, dictionary_of
 from aridcal.jobs.head1992.charuco import Board
 
@@ -31,7 +31,7 @@ ENOUGH_MARKERS = 4
 
 
 @dataclass(frozen=True)
-class Recognised:
+class RecognisedBoard:
     """A board in an image.
 
     Attributes:
@@ -65,7 +65,7 @@ def advice(images: Sequence[np.ndarray]) -> str:
     return f"{agreed.what}: try `{agreed.options}`" if agreed else ""
 
 
-def _agreed(found: Sequence[Recognised | None]) -> Recognised | None:
+def _agreed(found: Sequence[RecognisedBoard | None]) -> RecognisedBoard | None:
     """What most of the images show; None if they are too few."""
     boards = [board for board in found if board is not None]
     votes = Counter(board.options for board in boards)
@@ -75,10 +75,10 @@ def _agreed(found: Sequence[Recognised | None]) -> Recognised | None:
     return None
 
 
-def _markers(image: np.ndarray) -> Recognised | None:
+def _markers(image: np.ndarray) -> RecognisedBoard | None:
     """The smallest dictionary that has most of the markers, and whether they are those of a ChArUco board."""
     largest = {_family(name): name for name in sorted(dictionaries(), key=_words)}  # the smaller are its beginning
-    found = {family: detected(image, name) for family, name in largest.items()}
+    found = {family: detect_markers(image, name) for family, name in largest.items()}
     counts = {family: len(np.unique(numbers)) for family, (numbers, _) in found.items()}
     family = max(counts, key=lambda family: counts[family])
     if counts[family] < NO_CHANCE:
@@ -90,9 +90,9 @@ def _markers(image: np.ndarray) -> Recognised | None:
     size = charuco_size(numbers, quads, name)
     if size is not None:
         options = f"--board charuco --size {size[0]}x{size[1]} --dictionary {name}"
-        return Recognised(f"{tags}, as on a ChArUco board", options, counts[family])
+        return RecognisedBoard(f"{tags}, as on a ChArUco board", options, counts[family])
     kind = "apriltag" if "APRILTAG" in name else "aruco"
-    return Recognised(tags, f"--board {kind} --dictionary {name}", counts[family])
+    return RecognisedBoard(tags, f"--board {kind} --dictionary {name}", counts[family])
 
 
 def _words(name: str) -> int:
@@ -128,20 +128,20 @@ def charuco_size(numbers: np.ndarray, quads: np.ndarray, dictionary: str) -> tup
     return size if off < MOST_MISPLACED else None
 
 
-def _chessboard(image: np.ndarray) -> Recognised | None:
+def _chessboard(image: np.ndarray) -> RecognisedBoard | None:
     """OpenCV grows a board from 3 x 3 corners as far as it goes."""
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
     seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
     if not seen:
         return None
     low, high = sorted(meta.shape[:2])
-    return Recognised("a chessboard is there", f"--board chessboard --size {high + 1}x{low + 1}", low * high)
+    return RecognisedBoard("a chessboard is there", f"--board chessboard --size {high + 1}x{low + 1}", low * high)
 
 
-def _circles(image: np.ndarray) -> Recognised | None:
+def _circles(image: np.ndarray) -> RecognisedBoard | None:
     sizes = sorted(((c, r) for c in COLUMNS for r in ROWS), key=lambda size: -size[0] * size[1])
     for size in sizes:
         if find_circles(image, size, GRID_FLAGS[:1])[0]:
             options = f"--board circles --size {size[0]}x{size[1]}"
-            return Recognised("a grid of circles is there", options, size[0] * size[1])
+            return RecognisedBoard("a grid of circles is there", options, size[0] * size[1])
     return None

@@ -42,7 +42,7 @@ def camera_text(name: str, lens: Lens, size: tuple[int, int], images: int) -> st
     )
 
 
-def known_camera(path: Path, name: str) -> ArmCameraSettings:
+def camera_by_name(path: Path, name: str) -> ArmCameraSettings:
     """The camera of a name.
 
     Raises:

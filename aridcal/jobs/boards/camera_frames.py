@@ -27,7 +27,7 @@ TO_BGR = {
 }  # fmt: skip
 """How OpenCV turns it into colours in its own order; the others are grey or in that order already."""
 
-SMALL = (64, 48)
+THUMBNAIL_SIZE = (64, 48)
 """[px] of a thumbnail: noise of pixels is gone, a board that moves by a hundredth of the picture is seen."""
 
 
@@ -91,7 +91,7 @@ def png_file(image: np.ndarray) -> bytes:
 def thumbnail(image: np.ndarray) -> np.ndarray:
     """Grey levels of an image made small, each the mean of what it stands for; shape (48, 64)."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return np.asarray(cv2.resize(grey, SMALL, interpolation=cv2.INTER_AREA), dtype=float)
+    return np.asarray(cv2.resize(grey, THUMBNAIL_SIZE, interpolation=cv2.INTER_AREA), dtype=float)
 
 
 def _check_size(width: int, height: int) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from aridcal.jobs.boards.bent_planes import BentPlane, bent_plane, centre_of_area, homography, local, mapped
 from aridcal.jobs.boards.patterns import (
     CIRCLE,
     AnyBoard,
@@ -23,8 +24,7 @@ from aridcal.jobs.boards.patterns import (
     modules,
     tag_names,
 )
-from aridcal.jobs.boards.planes import BentPlane, bent_plane, centre_of_area, homography, local, mapped
-from aridcal.jobs.boards.profiles import LEAST_CONTRAST, blurs, profiles, refined_quad, side_lines
+from aridcal.jobs.boards.profiles import LEAST_EDGE_CONTRAST, blurs, profiles, refined_quad, side_lines
 from aridcal.jobs.head1992.charuco import MIN_CORNERS, Board
 from aridcal.jobs.head1992.matching import NotMeasured, spans_plane
 
@@ -38,7 +38,7 @@ BLURRED_MODULE, BLURRED_TAG, BLURRED_SQUARE, BLURRED_CIRCLE = 0.25, 0.15, 0.1, 0
 SMALLEST_MODULE = 3.0
 
 # Fewest markers of a board that fix its pose.
-FEWEST_MARKERS = 2
+FEWEST_FOUND_MARKERS = 2
 
 # Fewest markers in the mirrored image alone that say the image is mirrored: less may be chance.
 FEWEST_MIRRORED = 3
@@ -65,7 +65,7 @@ SMALLEST_BLOB, LARGEST_BLOB = 20, 0.05
 
 
 @dataclass(frozen=True)
-class Found:
+class ImageMarks:
     """Marks in an image.
 
     Attributes:
@@ -81,7 +81,7 @@ class Found:
     group: np.ndarray
 
 
-def find(image: np.ndarray, board: AnyBoard) -> Found:
+def find(image: np.ndarray, board: AnyBoard) -> ImageMarks:
     """Find the marks of a board.
 
     Args:
@@ -98,7 +98,7 @@ def find(image: np.ndarray, board: AnyBoard) -> Found:
     return _find_grid(image, board)
 
 
-def detected(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray]:
+def detect_markers(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray]:
     """All markers of a dictionary in an image: their numbers (M,) and their corners, clockwise, (M, 4, 2), [px]."""
     detector = cv2.aruco.ArucoDetector(dictionary_of(dictionary))
     quads, numbers, _ = detector.detectMarkers(image)
@@ -113,9 +113,9 @@ def _markers(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray
     Raises:
         NotMeasured: there are none, or more in the mirrored image.
     """
-    numbers, quads = detected(image, dictionary)
+    numbers, quads = detect_markers(image, dictionary)
     if len(numbers) < FEWEST_MIRRORED:
-        mirrored, _ = detected(np.ascontiguousarray(image[:, ::-1]), dictionary)
+        mirrored, _ = detect_markers(np.ascontiguousarray(image[:, ::-1]), dictionary)
         if len(mirrored) >= max(FEWEST_MIRRORED, 2 * len(numbers)) or (len(mirrored) and not len(numbers)):
             raise NotMeasured(MIRRORED)
     if not len(numbers):
@@ -123,7 +123,7 @@ def _markers(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray
     return numbers, quads
 
 
-def _find_tags(image: np.ndarray, board: Tags) -> Found:
+def _find_tags(image: np.ndarray, board: Tags) -> ImageMarks:
     numbers, quads = _markers(image, board.dictionary)
     labels, times = np.unique(numbers, return_counts=True)
     if np.any(times > 1):
@@ -150,12 +150,12 @@ def _find_tags(image: np.ndarray, board: Tags) -> Found:
     if not pixels:
         raise NotMeasured(reason)
     flat = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])
-    return Found(
+    return ImageMarks(
         tuple(names), np.concatenate(pixels), np.tile(flat, (len(pixels), 1)), np.repeat(np.arange(len(pixels)), 4)
     )
 
 
-def _find_charuco(image: np.ndarray, board: Board) -> Found:
+def _find_charuco(image: np.ndarray, board: Board) -> ImageMarks:
     numbers, quads = _markers(image, board.dictionary)
     charuco = board.opencv()
     count = len(charuco.getIds())
@@ -164,8 +164,10 @@ def _find_charuco(image: np.ndarray, board: Board) -> Found:
             f"the markers {numbers.min()} to {numbers.max()} are none of this board's, which has 0 to {count - 1}"
         )
     side = np.median(np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2))
-    if np.sum(numbers < count) < FEWEST_MARKERS:
-        raise NotMeasured(f"only {np.sum(numbers < count)} markers of the board are seen: {FEWEST_MARKERS} are needed")
+    if np.sum(numbers < count) < FEWEST_FOUND_MARKERS:
+        raise NotMeasured(
+            f"only {np.sum(numbers < count)} markers of the board are seen: {FEWEST_FOUND_MARKERS} are needed"
+        )
     off = misplaced(numbers, quads, board)
     if off > MOST_MISPLACED:
         raise NotMeasured(
@@ -185,7 +187,7 @@ def _find_charuco(image: np.ndarray, board: Board) -> Found:
     n = modules(board.dictionary)
     starts, ends = (np.concatenate(lines) for lines in zip(*(side_lines(quad, n) for quad in quads), strict=True))
     _refuse_blur(image, starts.reshape(-1, 2), ends.reshape(-1, 2), BLURRED_MODULE * float(side) / n)
-    return Found(tuple(f"c{k}" for k in labels), pixels, places, np.zeros(len(labels), int))
+    return ImageMarks(tuple(f"c{k}" for k in labels), pixels, places, np.zeros(len(labels), int))
 
 
 def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
@@ -198,7 +200,7 @@ def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
     """
     charuco = board.opencv()
     of_board = numbers < len(charuco.getIds())
-    if of_board.sum() < FEWEST_MARKERS:
+    if of_board.sum() < FEWEST_FOUND_MARKERS:
         return np.inf
     corners = np.asarray(charuco.getObjPoints(), dtype=float)[numbers[of_board], :, :2] / board.square
     # From pixels to squares, so that a fit that maps all to one place is a bad one.
@@ -206,7 +208,7 @@ def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
     return misfit
 
 
-def _find_grid(image: np.ndarray, board: Chessboard | Circles) -> Found:
+def _find_grid(image: np.ndarray, board: Chessboard | Circles) -> ImageMarks:
     """The inner corners of a chessboard, or the circles of a grid: all of them, or the image is refused."""
     places = flat_places(board)
     if isinstance(board, Chessboard):
@@ -229,7 +231,7 @@ def _find_grid(image: np.ndarray, board: Chessboard | Circles) -> Found:
         _refuse_blurred_board(image, seen_grid)
         sides = [np.linalg.norm(np.diff(seen_grid, axis=axis), axis=2).min() for axis in (0, 1)]
         pixels = _refined_corners(image, pixels, WINDOW * float(min(sides)))
-    return Found(tuple(f"c{k}" for k in range(len(places))), pixels, places, np.zeros(len(places), int))
+    return ImageMarks(tuple(f"c{k}" for k in range(len(places))), pixels, places, np.zeros(len(places), int))
 
 
 def _refined_corners(image: np.ndarray, pixels: np.ndarray, window: float) -> np.ndarray:
@@ -344,7 +346,7 @@ def _centre_of_light(
     if rim.sum() < 8 or not inside.any():
         raise NotMeasured("the circles are too small")
     paper, ink = np.median(grey[rim]), np.median(grey[inside])
-    if paper - ink < LEAST_CONTRAST:
+    if paper - ink < LEAST_EDGE_CONTRAST:
         raise NotMeasured("the circles are too faint: light the board better")
     share = np.clip((paper - grey) / (paper - ink), 0, 1)
     weight = np.where(near & (share > DARK_ENOUGH), share, 0.0)

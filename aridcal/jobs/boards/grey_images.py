@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.system.errors import AridcalError, listed
+from aridcal.system.errors import AridcalError, name_list
 from aridcal.system.reading.images import image_size, read_image_file
 from aridcal.system.reading.regular_files import IMAGE, MEGA
 from aridcal.system.reading.user_names import check_name
 
-ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp")
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp")
 """Endings of files that count as images of a folder."""
 
 # Decoded, each takes a byte of memory, and three times that on the way.
@@ -34,9 +34,11 @@ def listed_images(paths: Sequence[Path]) -> dict[str, Path]:
     by_name: dict[str, Path] = {}
     for path in paths:
         if path.is_dir():
-            files = sorted((file for file in path.iterdir() if file.suffix.lower() in ENDINGS), key=_counting_order)
+            files = sorted(
+                (file for file in path.iterdir() if file.suffix.lower() in IMAGE_ENDINGS), key=_counting_order
+            )
             if not files:
-                raise AridcalError(f"{path}: no images in this folder; their names end in {listed(ENDINGS)}")
+                raise AridcalError(f"{path}: no images in this folder; their names end in {name_list(IMAGE_ENDINGS)}")
         else:
             files = [path]
         for file in files:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from aridcal.engine.instruments.camera import INTRINSICS
-from aridcal.jobs.boards.finders import Found
+from aridcal.jobs.boards.finders import ImageMarks
 from aridcal.system.errors import AridcalError
 
 # Images that are used, evenly spread: more take long and tell little more.
@@ -56,7 +56,7 @@ class Lens:
             return np.asarray(self.misfit > max(STRANGE * median, LEAST_STRANGE))
 
 
-def estimate(images: Sequence[Found], size: tuple[int, int]) -> Lens:
+def estimate(images: Sequence[ImageMarks], size: tuple[int, int]) -> Lens:
     """Estimate a camera's numbers, a lens of two radial and two tangential terms among them.
 
     Args:
@@ -97,7 +97,7 @@ def estimate(images: Sequence[Found], size: tuple[int, int]) -> Lens:
     return Lens(intrinsics, std, misfit)
 
 
-def fit(images: Sequence[Found], intrinsics: np.ndarray) -> np.ndarray:
+def fit(images: Sequence[ImageMarks], intrinsics: np.ndarray) -> np.ndarray:
     """Misfit of each image's marks with a camera that is known, RMS [px], shape (I,).
 
     Args:
@@ -124,7 +124,7 @@ def fit(images: Sequence[Found], intrinsics: np.ndarray) -> np.ndarray:
     return misfit
 
 
-def _is_plane(found: Found, rows: np.ndarray) -> bool:
+def _is_plane(found: ImageMarks, rows: np.ndarray) -> bool:
     """Four marks or more that are not on one line."""
     extents = np.linalg.svd(found.places[rows] - found.places[rows].mean(axis=0), compute_uv=False)
     return len(rows) >= 4 and bool(extents[1] > 1e-6 * extents[0])

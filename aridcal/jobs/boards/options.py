@@ -28,7 +28,7 @@ ALL_BOARDS: Defaults = {**BOARDS, **CUBE}
 
 TAGS: Defaults = {"apriltag": {"dictionary": "DICT_APRILTAG_36h11"}, "aruco": {"dictionary": "DICT_5X5_100"}}
 
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 
 _LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|in)\s*")
 _SIZE = re.compile(r"\s*(\d{1,3})\s*[x×]\s*(\d{1,3})\s*")
@@ -37,9 +37,9 @@ _SIZE = re.compile(r"\s*(\d{1,3})\s*[x×]\s*(\d{1,3})\s*")
 def length(text: str) -> float:
     """A length with its unit, ``35mm``: the ``type`` of an argument, [m]."""
     parts = _LENGTH.fullmatch(text)
-    if not parts or not 0 < float(parts[1]) * UNITS[parts[2]] < MM:
+    if not parts or not 0 < float(parts[1]) * LENGTH_UNITS[parts[2]] < MM:
         raise argparse.ArgumentTypeError(f"{text!r} is no length with its unit: write 35mm, 3.5cm or 0.035m")
-    return float(parts[1]) * UNITS[parts[2]]
+    return float(parts[1]) * LENGTH_UNITS[parts[2]]
 
 
 def size(text: str) -> tuple[int, int]:
@@ -104,7 +104,7 @@ def board_of(what: str, options: Mapping[str, Any]) -> Board | Chessboard | Circ
     return board
 
 
-def as_written(options: Mapping[str, Any]) -> str:
+def option_text(options: Mapping[str, Any]) -> str:
     """Options as they are typed."""
     return " ".join(f"--{name} {_as_typed(value)}" for name, value in options.items())
 

@@ -17,7 +17,14 @@ import numpy as np
 
 from aridcal.jobs.boards.sheet import MM, Sheet
 from aridcal.jobs.head1992.charuco import Board
-from aridcal.jobs.head1992.square import SIDE, UNIT, fiducial_corners, index_corners, paper_corners, strip_placements
+from aridcal.jobs.head1992.square import (
+    SQUARE_SIDE,
+    UNIT_CORNERS,
+    fiducial_corners,
+    index_corners,
+    paper_corners,
+    strip_placements,
+)
 from aridcal.system.errors import CampaignError, nearest
 
 # Corners of a marker in OpenCV's order: clockwise from the upper left, as those of UNIT.
@@ -183,7 +190,7 @@ def check_board(board: AnyBoard | Cube) -> None:
 def marks(board: Board | Chessboard | Circles | Cube) -> Marks:
     """Labels and places of all marks that a camera can measure on a board."""
     if isinstance(board, Cube):
-        flat = board.tag * UNIT
+        flat = board.tag * UNIT_CORNERS
         names: list[str] = []
         corners = []
         for k, (x, y, _) in enumerate(FACES):
@@ -262,7 +269,7 @@ def drawing(board: Board | Chessboard | Circles | Cube) -> Sheet:
     i, j = np.meshgrid(np.arange(board.squares_x), np.arange(board.squares_y))
     middles = np.column_stack([(i.ravel() + 0.5) * board.square, size[1] - (j.ravel() + 0.5) * board.square])
     black = (i.ravel() + j.ravel()) % 2 == 0
-    ink = [[middle + board.square * UNIT[::-1]] for middle in middles[black]]
+    ink = [[middle + board.square * UNIT_CORNERS[::-1]] for middle in middles[black]]
     if isinstance(board, Board):
         for number, middle in enumerate(middles[~black]):  # OpenCV puts its markers into the white squares, row by row
             ink.append([middle + loop for loop in marker_ink(board.dictionary, number, board.marker)])
@@ -300,11 +307,11 @@ def square_strip(indexes: Sequence[int]) -> Sheet:
     Args:
         indexes: Of the squares, from below upwards.
     """
-    middles = strip_placements(len(indexes))[:, :2, 3] + SIDE / 2
+    middles = strip_placements(len(indexes))[:, :2, 3] + SQUARE_SIDE / 2
     paper, ink = [], []
     for index, middle in zip(indexes, middles, strict=True):
         outline = paper_corners() + middle
         paper.append(MM * np.concatenate([outline, outline[:1]]))
         black = np.concatenate([fiducial_corners(), index_corners(index)])[:, ::-1]
         ink += [[MM * (corners + middle)] for corners in black]
-    return Sheet((MM * SIDE, MM * SIDE * len(indexes)), ink, cuts=paper)
+    return Sheet((MM * SQUARE_SIDE, MM * SQUARE_SIDE * len(indexes)), ink, cuts=paper)

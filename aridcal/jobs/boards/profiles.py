@@ -6,20 +6,20 @@ import cv2
 import numpy as np
 
 # Samples of a line across an edge.
-SAMPLES = 61
+PROFILE_SAMPLES = 61
 
 # Share of a line's samples at each of its ends that shows the grey level beside the edge.
 PLATEAU = 0.15
 
 # [grey levels] that two sides of an edge differ by at least.
-LEAST_CONTRAST = 25.0
+LEAST_EDGE_CONTRAST = 25.0
 
 # Lines across the side of a marker, and how far from its ends, in its length, the first and the last are.
 LINES, CLEAR_OF_CORNERS = 24, 0.13
 
 # Reach of these lines to either side, in modules of the marker. There is one of black inside and one of white outside: half of
 # it keeps the light of bits and neighbours off, and a blur of the edge itself moves both its levels alike.
-REACH = 0.5
+PROFILE_REACH = 0.5
 
 # Lines that a side is fitted to at least, and residual beyond which one is left out, in their median.
 FEWEST_LINES, OUTLYING = 10, 4.0
@@ -30,7 +30,7 @@ CORNER_STEPS = 5
 
 def profiles(image: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Grey levels along lines from starts to ends, each of shape (n, 2), [px]; shape (n, SAMPLES), NaN outside the image."""
-    share = np.linspace(0, 1, SAMPLES)
+    share = np.linspace(0, 1, PROFILE_SAMPLES)
     places = starts[:, None] + share[:, None] * (ends - starts)[:, None]
     u, v = (np.ascontiguousarray(places[..., k], dtype=np.float32) for k in (0, 1))
     grey = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
@@ -50,11 +50,11 @@ def crossings(grey: np.ndarray) -> np.ndarray:
     # One crossing only: anything else is another edge.
     passes = (above[:, :-1] < 0) & (above[:, 1:] >= 0)
     back = (above[:, :-1] >= 0) & (above[:, 1:] < 0)
-    clear = (np.abs(contrast) >= LEAST_CONTRAST) & (passes.sum(axis=1) == 1) & ~back.any(axis=1)
+    clear = (np.abs(contrast) >= LEAST_EDGE_CONTRAST) & (passes.sum(axis=1) == 1) & ~back.any(axis=1)
     k = np.argmax(passes, axis=1)
     rows = np.arange(len(grey))
     low, high = above[rows, k], above[rows, k + 1]
-    share = (k - low / np.where(high > low, high - low, 1.0)) / (SAMPLES - 1)
+    share = (k - low / np.where(high > low, high - low, 1.0)) / (PROFILE_SAMPLES - 1)
     return np.where(clear, share, np.nan)
 
 
@@ -68,16 +68,16 @@ def blurs(grey: np.ndarray, lengths: np.ndarray) -> np.ndarray:
         lengths: Of the lines, shape (n,), [px].
     """
     _, contrast = _levels(grey)
-    steps = lengths / (SAMPLES - 1)
+    steps = lengths / (PROFILE_SAMPLES - 1)
     wide = 4  # samples that a slope is taken over: one pixel's noise is no edge
     slope = np.abs(grey[:, wide:] - grey[:, :-wide]).max(axis=1) / (wide * steps)
-    seen = (np.abs(contrast) >= LEAST_CONTRAST) & (slope > 0)
+    seen = (np.abs(contrast) >= LEAST_EDGE_CONTRAST) & (slope > 0)
     return np.where(seen, np.abs(contrast) / np.sqrt(2 * np.pi) / np.where(seen, slope, 1.0), np.nan)
 
 
 def _levels(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middle between the grey levels at the two ends of each line, and their difference, each of shape (n,)."""
-    n = round(PLATEAU * SAMPLES)
+    n = round(PLATEAU * PROFILE_SAMPLES)
     first, last = grey[:, :n].mean(axis=1), grey[:, -n:].mean(axis=1)
     return (first + last) / 2, last - first
 
@@ -96,7 +96,7 @@ def side_lines(quad: np.ndarray, modules: int) -> tuple[np.ndarray, np.ndarray]:
     sides = np.roll(quad, -1, axis=0) - quad
     middles = quad[:, None] + share * sides[:, None]
     outward = np.stack([sides[:, 1], -sides[:, 0]], axis=1)  # of a clockwise quad, v pointing down
-    outward *= REACH / modules
+    outward *= PROFILE_REACH / modules
     return middles - outward[:, None], middles + outward[:, None]
 
 

@@ -23,7 +23,7 @@ LINE_WIDTH = 0.1
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "A2": (420.0, 594.0), "A1": (594.0, 841.0), "A0": (841.0, 1189.0)}
 
 # [mm] around what is printed: white, and room for the rulers beyond what printers can reach.
-MARGIN = 17.0
+SHEET_MARGIN = 17.0
 
 # [mm] from the paper's edge to a ruler; its length, or a tenth of it where the sheet is short; its marks.
 RULER_AT, RULER, RULER_STEP, RULER_MARK = 8.5, 100.0, 10.0, 3.0
@@ -67,7 +67,7 @@ def on_paper(drawing: Sheet, title: str) -> Sheet:
         The sheet; of the drawing's own size with a margin where no paper is large enough.
     """
     width, height = drawing.size
-    needed = width + 2 * MARGIN, height + 2 * MARGIN
+    needed = width + 2 * SHEET_MARGIN, height + 2 * SHEET_MARGIN
     papers = [size for narrow, wide in PAPERS.values() for size in ((narrow, wide), (wide, narrow))]
     size = next((paper for paper in papers if paper[0] >= needed[0] and paper[1] >= needed[1]), needed)
     shift = np.array([size[0] - width, size[1] - height]) / 2

@@ -18,7 +18,7 @@ from aridcal.engine.corrections.labels import is_label
 from aridcal.engine.trust.rival_predictions import Rival
 from aridcal.engine.trust.workspace import OpenCombination
 from aridcal.files.query import FramesBy
-from aridcal.files.yaml_file import LARGEST, Number, Section, Settings, Vector3, decode, parse_yaml, validated
+from aridcal.files.yaml_file import LARGEST_SETTING, Number, Section, Settings, Vector3, decode, parse_yaml, validated
 from aridcal.system.errors import CampaignError, has_controls
 from aridcal.system.reading.regular_files import CALIBRATION, read_file
 
@@ -195,8 +195,8 @@ class SolvedPart(Section):
 class NoisePart(Section):
     """Noise per axis, [m] and [rad]."""
 
-    position: Annotated[float, Field(ge=0, le=LARGEST)]
-    rotation: Annotated[float, Field(ge=0, le=LARGEST)]
+    position: Annotated[float, Field(ge=0, le=LARGEST_SETTING)]
+    rotation: Annotated[float, Field(ge=0, le=LARGEST_SETTING)]
 
 
 class LargestPart(Section):
@@ -206,7 +206,7 @@ class LargestPart(Section):
     rotation: Annotated[float, Field(ge=0, allow_inf_nan=True)] = np.inf
 
 
-class UntoldPart(Section):
+class UnobservablePart(Section):
     """One constant of a combination that no reading tells, and how far it may be off together with the others."""
 
     where: str
@@ -252,7 +252,7 @@ class CalibrationDocument(Settings):
     largest_std: LargestPart = LargestPart()
     geometric: SolvedPart
     final: SolvedPart
-    untold: tuple[tuple[UntoldPart, ...], ...] = ()
+    untold: tuple[tuple[UnobservablePart, ...], ...] = ()
     rivals: tuple[RivalPart, ...] = ()
 
 
@@ -263,14 +263,14 @@ SUM_SLACK = 1e-9
 class TailsPart(Section):
     """Student's t: its degrees of freedom, and its scale per axis."""
 
-    freedom: Annotated[float, Field(gt=0, le=LARGEST)]
-    sigma: Annotated[float, Field(gt=0, le=LARGEST)]
+    freedom: Annotated[float, Field(gt=0, le=LARGEST_SETTING)]
+    sigma: Annotated[float, Field(gt=0, le=LARGEST_SETTING)]
 
 
 class ScatterPart(Section):
     """Scatter of the fitted rows about the model: sigma per axis, and the degrees of freedom behind it."""
 
-    sigma: Annotated[float, Field(gt=0, le=LARGEST)]
+    sigma: Annotated[float, Field(gt=0, le=LARGEST_SETTING)]
     freedom: Annotated[float, Field(gt=0, allow_inf_nan=True)]
     tails: TailsPart | None = None
 
@@ -279,13 +279,13 @@ class WanderPart(Section):
     """A process that the zeros of joints may follow from place to place."""
 
     over: Literal["own", "all"]
-    length: Annotated[float, Field(gt=0, le=LARGEST)]
-    turning: Annotated[float, Field(ge=0, le=LARGEST)]
-    sliding: Annotated[float, Field(ge=0, le=LARGEST)]
+    length: Annotated[float, Field(gt=0, le=LARGEST_SETTING)]
+    turning: Annotated[float, Field(ge=0, le=LARGEST_SETTING)]
+    sliding: Annotated[float, Field(ge=0, le=LARGEST_SETTING)]
     probability: Annotated[float, Field(gt=0, le=1.0 + SUM_SLACK)]
 
 
-class Record(Section):
+class CalibrationRecord(Section):
     """Keys beside the model that some command reads."""
 
     campaign: str = ""
@@ -300,7 +300,7 @@ class Record(Section):
     """Processes that joint zeros may follow from place to place; older files have none."""
 
     @model_validator(mode="after")
-    def _sum(self) -> Record:
+    def _sum(self) -> CalibrationRecord:
         if sum(process.probability for process in self.wander) > 1.0 + SUM_SLACK:
             raise ValueError("wander: probabilities of more than 1 in all")
         return self
@@ -322,15 +322,15 @@ def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:
             raise CampaignError(f"{path}: `format: 1` expected on top")
         model_keys = CalibrationDocument.model_fields.keys() - {"limits"}
         record = {key: value for key, value in keys.items() if key not in model_keys}
-        checked = {key: value for key, value in record.items() if key in Record.model_fields}
-        validated(checked, lines, path, Record)
+        checked = {key: value for key, value in record.items() if key in CalibrationRecord.model_fields}
+        validated(checked, lines, path, CalibrationRecord)
         of_model = {key: value for key, value in keys.items() if key in model_keys}
         return validated(of_model, lines, path, CalibrationDocument), record
     except CampaignError as problem:
         raise CampaignError(f"{problem}. {NOT_OURS}") from None
 
 
-def untold_document(combinations: Sequence[OpenCombination]) -> list[list[dict[str, Any]]]:
+def unobservable_document(combinations: Sequence[OpenCombination]) -> list[list[dict[str, Any]]]:
     """Combinations of constants that no reading tells, as plain data."""
     return [
         [{"where": c.where, "component": c.component, "station": c.station, "value": value} for c, value in part]
@@ -338,8 +338,8 @@ def untold_document(combinations: Sequence[OpenCombination]) -> list[list[dict[s
     ]
 
 
-def untold_of(document: CalibrationDocument) -> tuple[OpenCombination, ...]:
-    """Combinations from what :func:`untold_document` wrote."""
+def unobservable_combinations(document: CalibrationDocument) -> tuple[OpenCombination, ...]:
+    """Combinations from what :func:`unobservable_document` wrote."""
     return tuple(
         tuple((Coefficient(e.where, e.component, station=e.station), e.value) for e in part) for part in document.untold
     )

@@ -20,7 +20,7 @@ from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.stages import recentred
 from aridcal.engine.instruments.channels import Channel, columns
 from aridcal.engine.model.model import Model
-from aridcal.engine.robot.chain import Robot, same_chain
+from aridcal.engine.robot.chain import Robot, chain_in_urdf
 from aridcal.engine.robot.dh import DHTable, doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
 from aridcal.engine.rows.dataset import Dataset, with_sigma
 from aridcal.engine.trust.regions import Region, Regions, regions
@@ -139,7 +139,7 @@ def controller_exports(outcome: Outcome) -> ControllerExports:
         offsets={name: float(zeros[f"{name}.axis"]) for name in robot.readings if f"{name}.axis" in zeros},
         maps=_curves(outcome, with_maps) if with_maps is not None else {},
         with_maps=with_maps,
-        calibrated=same_chain(robot, stage_urdf(outcome.stage("geometric").fit)),
+        calibrated=chain_in_urdf(robot, stage_urdf(outcome.stage("geometric").fit)),
         regions=of_regions,
     )
 
@@ -189,7 +189,7 @@ def write_controllers(outcome: Outcome, handover: ControllerExports, folder: Pat
 
 
 @dataclass(frozen=True)
-class Table:
+class ControllerTable:
     """Constants of `calibrated.urdf` as one kind of controller reads them.
 
     Attributes:
@@ -201,19 +201,19 @@ class Table:
     notes: tuple[str, ...]
 
 
-def tables(nominal: Robot, calibrated: Robot) -> dict[str, Table]:
+def tables(nominal: Robot, calibrated: Robot) -> dict[str, ControllerTable]:
     """Tables of link parameters, by file: of each limb from the base outwards, where it has them."""
 
-    def doty(before: Robot, after: Robot) -> Table:
-        return Table(doty_yaml(after), ())
+    def doty(before: Robot, after: Robot) -> ControllerTable:
+        return ControllerTable(doty_yaml(after), ())
 
-    def makers(before: Robot, after: Robot) -> Table:
-        return Table(kinematics_yaml(before, after), ())
+    def makers(before: Robot, after: Robot) -> ControllerTable:
+        return ControllerTable(kinematics_yaml(before, after), ())
 
-    def dh(make: Callable[[Robot], DHTable]) -> Callable[[Robot, Robot], Table]:
-        def made(before: Robot, after: Robot) -> Table:
+    def dh(make: Callable[[Robot], DHTable]) -> Callable[[Robot, Robot], ControllerTable]:
+        def made(before: Robot, after: Robot) -> ControllerTable:
             table = make(after)
-            return Table(table.dump(), tuple(table.warnings))
+            return ControllerTable(table.dump(), tuple(table.warnings))
 
         return made
 
@@ -223,7 +223,7 @@ def tables(nominal: Robot, calibrated: Robot) -> dict[str, Table]:
     return {name: _by_limb(make, nominal, calibrated) for name, make in makers_by_file.items()}
 
 
-def _by_limb(make: Callable[[Robot, Robot], Table], nominal: Robot, calibrated: Robot) -> Table:
+def _by_limb(make: Callable[[Robot, Robot], ControllerTable], nominal: Robot, calibrated: Robot) -> ControllerTable:
     """A table of the chain, or of each limb."""
     if not nominal.others:
         return make(nominal, calibrated)
@@ -244,7 +244,7 @@ def _by_limb(make: Callable[[Robot, Robot], Table], nominal: Robot, calibrated: 
             table = make(before, after)
             parts.append(f"  {before.tip}:\n{indent(table.text, '    ')}")
             notes += [f"{before.tip}: {note}" for note in table.notes]
-    return Table("limbs:\n" + "".join(parts) if parts else "limbs: {}\n", tuple(notes))
+    return ControllerTable("limbs:\n" + "".join(parts) if parts else "limbs: {}\n", tuple(notes))
 
 
 def index_document(outcome: Outcome, of_regions: Regions) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from aridcal import __version__
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.engine.corrections.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
 from aridcal.engine.fit.constants import is_zero
 from aridcal.engine.fit.least_squares import Fit
@@ -22,25 +22,25 @@ from aridcal.engine.instruments.channels import columns
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_causes import NoiseCause, NoiseCauses
-from aridcal.engine.trust.as_document import document
 from aridcal.engine.trust.certainty import as_document
 from aridcal.engine.trust.gains import NamedEffect
 from aridcal.engine.trust.iso9283 import document as iso_document
+from aridcal.engine.trust.second_look_document import document
 from aridcal.jobs.calibrate.measuring_head import MeasuringHead
 from aridcal.jobs.calibrate.outcome import Outcome, Stage, Verification, errors
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.calibrate.urdf_files import write_urdf
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.freed import give_back
+from aridcal.system.reading.memory_release import give_back
 from aridcal.system.writing.table_writer import csv_lines
 
 if TYPE_CHECKING:
     import pandas as pd
 
-ROWS_AT_ONCE = 20_000
+WRITTEN_AT_ONCE = 20_000
 """Rows that are written between two reports of progress: half a second."""
 
-DIGITS = 9
+RESIDUAL_DIGITS = 9
 """Digits of numbers in residuals.csv: a nanometre of a metre."""
 
 FRAME_NAMES = ("world_base", "tip_target")
@@ -64,9 +64,9 @@ def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -
     with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(residual_columns_of(outcome, order[:0])) + "\n")
         for first in progress.through(
-            range(0, len(order), ROWS_AT_ONCE), len(order), "rows of residuals.csv", ROWS_AT_ONCE
+            range(0, len(order), WRITTEN_AT_ONCE), len(order), "rows of residuals.csv", WRITTEN_AT_ONCE
         ):
-            file.write(csv_lines(residual_columns_of(outcome, order[first : first + ROWS_AT_ONCE]), DIGITS))
+            file.write(csv_lines(residual_columns_of(outcome, order[first : first + WRITTEN_AT_ONCE]), RESIDUAL_DIGITS))
     if outcome.head is not None:
         import pandas as pd  # slow to load, and other campaigns have no images
 
@@ -280,7 +280,7 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
             k = index[c.name]
             identified[c.name] = _unit(fit, c, turning[c.component]), float(fit.theta[k]), float(fit.std[k])
     document |= {
-        "covariates": [name for name in KINDS[effect.kind].shown or effect.covariates if name != ROW_ORDER],
+        "covariates": [name for name in EFFECT_KINDS[effect.kind].shown or effect.covariates if name != ROW_ORDER],
         "coefficients": [
             dict(zip(("name", "unit", "value", "std"), (c.name, *identified[c.name]), strict=True))
             for c in effect.coefficients
@@ -311,7 +311,7 @@ def moment(step: Basis, rows: Dataset) -> dict[str, Any]:
     return document | ({"time": float(time)} if np.isfinite(time) else {})
 
 
-def what_moved(effect: Effect, rows: Dataset) -> str:
+def step_in_words(effect: Effect, rows: Dataset) -> str:
     """A step in words, ``world_base moved between rows 117 and 118``; empty for what always acts."""
     if effect.at is None:
         return ""

@@ -25,17 +25,17 @@ from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.normal_equations import inverse
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.fit.residual import eliminated
+from aridcal.engine.fit.residual import reduced_stretches
 from aridcal.engine.instruments.channels import spread
-from aridcal.engine.levels import CERTAINLY, FOLDS
+from aridcal.engine.levels import CERTAINLY, CHOOSING_FOLDS
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.numerics import RIDGE
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
-from aridcal.engine.search.noise_tests import SURE
+from aridcal.engine.rows.split import held_back_groups
+from aridcal.engine.search.noise_tests import FALSE_ALARM
 
-MOST_ROWS = 600
+MOST_GRAVITY_ROWS = 600
 """Work: Rows that are looked at, spread evenly over more: a direction that matters shows in these."""
 
 LEAST_LEAN = np.radians(20.0)
@@ -64,10 +64,10 @@ def gravity_direction(fit: Fit, rows: Dataset) -> str:
     if declared.ndim != 1 or size == 0.0:
         return ""
     some = rows.select(~fit.outliers) if fit.outliers.any() else rows
-    some = some.select(np.linspace(0, len(some) - 1, min(len(some), MOST_ROWS)).round().astype(int))
-    place = held_together(some)
+    some = some.select(np.linspace(0, len(some) - 1, min(len(some), MOST_GRAVITY_ROWS)).round().astype(int))
+    place = held_back_groups(some)
     loads = _loads(fit, some)
-    if place.max() + 1 < FOLDS**2 or not loads:
+    if place.max() + 1 < CHOOSING_FOLDS**2 or not loads:
         return ""
     r, J = _columns(fit, some, loads)
     sums = _Sums(r, J, len(loads) // 3, place)
@@ -104,7 +104,9 @@ def _columns(fit: Fit, rows: Dataset, loads: dict[tuple[str, int], np.ndarray]) 
     with_loads = replace(rows, covariates={**rows.covariates, **{name: values for name, (_, values) in named.items()}})
     larger_model = replace(model.with_coefficients((*model.coefficients, *waves, *pulls)), states=model.states)
     theta = np.concatenate([fit.theta, np.zeros(len(waves) + len(pulls))])
-    pieces = [(r, J) for _, r, J in eliminated(problem(larger_model, with_loads), theta, np.ones(len(rows)), fit.sigma)]
+    pieces = [
+        (r, J) for _, r, J in reduced_stretches(problem(larger_model, with_loads), theta, np.ones(len(rows)), fit.sigma)
+    ]
     r, J = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     sigma = spread(fit.sigma, rows.channels)
     return r / sigma, J / sigma[:, None]
@@ -123,14 +125,14 @@ class _Sums:
     def __init__(self, r: np.ndarray, J: np.ndarray, joints: int, place: np.ndarray) -> None:
         self.r, self.J, self.joints, self.place = r, J, joints, place
         self.free = J.shape[2] - 3 * joints
-        self.part = np.random.default_rng(0).permutation(int(place.max()) + 1)[place] % FOLDS
+        self.part = np.random.default_rng(0).permutation(int(place.max()) + 1)[place] % CHOOSING_FOLDS
         flat = [J[rows].reshape(-1, J.shape[2]) for rows in self._parts()]
         self.H = np.array([A.T @ A for A in flat])
         self.b = np.array([A.T @ r[rows].ravel() for A, rows in zip(flat, self._parts(), strict=True)])
         self.s = np.array([np.sum(r[rows] ** 2) for rows in self._parts()])
 
     def _parts(self) -> list[np.ndarray]:
-        return [self.part == k for k in range(FOLDS)]
+        return [self.part == k for k in range(CHOOSING_FOLDS)]
 
     def reduced(self, u: np.ndarray) -> np.ndarray:
         """Columns of one compliance a joint under gravity along u, from those of three, shape (K, free + joints)."""
@@ -194,7 +196,7 @@ def _directions() -> np.ndarray:
 
 def _answer(sums: _Sums, declared: np.ndarray) -> str:
     """The sentence on the direction that leaves the smallest squares; empty where the declared direction will do."""
-    all_parts = range(FOLDS)
+    all_parts = range(CHOOSING_FOLDS)
     u = sums.best(all_parts)
     x, squares, back = sums.solved(u, all_parts)
     compliance, free = x[sums.free :].reshape(sums.joints, 3) @ u, sums.free
@@ -213,7 +215,7 @@ def _answer(sums: _Sums, declared: np.ndarray) -> str:
         gain = _held_back(sums, declared)
         error = float(gain.std(ddof=1) / np.sqrt(len(gain)))
         p_value = float(stdtr(len(gain) - 1, -gain.mean() / max(error, np.finfo(float).tiny)))
-    if p_value >= SURE:
+    if p_value >= FALSE_ALARM:
         return ""
     vector = ", ".join(f"{-LEVEL_GRAVITY[2] * component:.2f}" for component in u)
     return (
@@ -225,8 +227,8 @@ def _answer(sums: _Sums, declared: np.ndarray) -> str:
 def _held_back(sums: _Sums, declared: np.ndarray) -> np.ndarray:
     """Gain in squares of the free direction over the declared one, of each place, parts of the places held back in turn."""
     gains = []
-    for k in range(FOLDS):
-        kept_parts, out = [part for part in range(FOLDS) if part != k], sums.part == k
+    for k in range(CHOOSING_FOLDS):
+        kept_parts, out = [part for part in range(CHOOSING_FOLDS) if part != k], sums.part == k
         squares = []
         for u in (declared, sums.best(kept_parts)):
             x, _, _ = sums.solved(u, kept_parts)

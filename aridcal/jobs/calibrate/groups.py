@@ -23,11 +23,11 @@ from scipy.special import expit
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import Channels
-from aridcal.engine.levels import FEWEST_ROWS, FEWEST_TOGETHER
+from aridcal.engine.levels import FEWEST_NOISE_ROWS, FEWEST_TOGETHER
 from aridcal.engine.numerics import TINY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.noise_tests import SURE, Clue
-from aridcal.system.errors import listed
+from aridcal.engine.search.noise_tests import FALSE_ALARM, Clue
+from aridcal.system.errors import name_list
 
 LEAST_SHARE = 0.04
 """Share of the rows that a group has at the least: fewer are outliers, and flagged as such."""
@@ -37,15 +37,15 @@ EVEN_SHARE = 0.25
 
 LEAST_STATISTIC = 20.0
 """Work: T below which nobody draws anything: of normal noise in three axes one set of rows in a hundred has more, and
-:data:`DRAWS` of them take as many times as long."""
+:data:`GROUP_DRAWS` of them take as many times as long."""
 
-DRAWS = 60
+GROUP_DRAWS = 60
 """Work: Sets of rows that say what chance does; their largest T is Gumbel's, whose scale is then known to a tenth."""
 
-MOST_ROWS = 600
+MOST_GROUP_ROWS = 600
 """Work: Rows that are looked at, spread evenly over more."""
 
-STEPS = 25
+EM_STEPS = 25
 """Work: Steps of expectation and maximisation: groups that differ by two sigmas have settled then."""
 
 FIRST_SHARE = 0.2
@@ -78,9 +78,9 @@ def groups(rows: Dataset, residual: np.ndarray, fit: Fit) -> list[Clue]:
     views = []
     for number in range(len(rows.blocks)):
         of_block = np.flatnonzero(rows.labels.block == number)
-        if len(of_block) < FEWEST_ROWS:
+        if len(of_block) < FEWEST_NOISE_ROWS:
             continue
-        of_block = of_block[np.linspace(0, len(of_block) - 1, min(len(of_block), MOST_ROWS)).round().astype(int)]
+        of_block = of_block[np.linspace(0, len(of_block) - 1, min(len(of_block), MOST_GROUP_ROWS)).round().astype(int)]
         part = rows.select(of_block)
         columns = ~np.isnan(residual[of_block]).any(axis=0)
         channels = tuple(c for c, measured in zip(rows.channels, part.measures.T, strict=True) if measured.any())
@@ -112,17 +112,17 @@ def _clue(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: i
     if min(few.sum(), len(few) - few.sum()) < FEWEST_TOGETHER:
         return None
     rng = np.random.default_rng(0)
-    signs = rng.choice([-1.0, 1.0], (DRAWS, len(x), 1))
+    signs = rng.choice([-1.0, 1.0], (GROUP_DRAWS, len(x), 1))
     p_value = _chance(T, x * signs)
     if smaller >= EVEN_SHARE:
-        p_value = 2.0 * min(p_value, _chance(T, rng.uniform(-1.0, 1.0, (DRAWS, *x.shape))))
+        p_value = 2.0 * min(p_value, _chance(T, rng.uniform(-1.0, 1.0, (GROUP_DRAWS, *x.shape))))
     p_value = min(1.0, times * p_value)
-    if p_value >= SURE:
+    if p_value >= FALSE_ALARM:
         return None
     shift = r[few].mean(axis=0) - r[~few].mean(axis=0)
     along = shift / np.linalg.norm(shift)
     variance = float(np.mean(few)) * float(np.mean(~few)) * float(shift @ shift) / max(float(np.var(r @ along)), TINY)
-    lines = listed([str(line) for line in np.sort(rows.origin.line[few]).tolist()])
+    lines = name_list([str(line) for line in np.sort(rows.origin.line[few]).tolist()])
     what = (
         f"{few.sum()} of {len(few)} rows are {_shift(shift, channels)} off the others, {words}".rstrip(", ")
         + f": is the target seated otherwise there? Lines {lines}"
@@ -184,7 +184,7 @@ def _maximised(x: np.ndarray, direction: np.ndarray) -> _Groups:
     """Expectation and maximisation from the rows farthest along a direction, shape (B, k)."""
     y = np.einsum("bnk,bk->bn", x, direction)
     chance = (y >= np.quantile(y, 1.0 - FIRST_SHARE, axis=1)[:, None]).astype(float)
-    for _ in range(STEPS):
+    for _ in range(EM_STEPS):
         share = np.clip(chance.mean(axis=1), LEAST_SHARE, 1.0 - LEAST_SHARE)
         product = share * (1.0 - share)
         delta = np.einsum("bn,bnk->bk", chance, x) / (x.shape[1] * product)[:, None]

@@ -18,11 +18,11 @@ from aridcal.engine.fit.elimination import Elimination, Groups
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.residual import linearise
-from aridcal.engine.instruments.kinds import KINDS
-from aridcal.engine.instruments.pixels import PLACE, R9, T
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
+from aridcal.engine.instruments.pixels import PLACE_COMPONENTS, R9, T
 from aridcal.engine.instruments.pose import TRACKER
 from aridcal.engine.instruments.setup import Things
-from aridcal.engine.model.predictions import Measured
+from aridcal.engine.model.predictions import Observations
 from aridcal.engine.robot.kinematics import along_plane
 from aridcal.engine.rows.dataset import Dataset
 
@@ -87,11 +87,11 @@ def thing_values(fit: Fit, train: Dataset) -> tuple[ThingValue, ...]:
     return tuple(values)
 
 
-def references(measured: Measured, role: str) -> tuple[np.ndarray, np.ndarray]:
+def references(measured: Observations, role: str) -> tuple[np.ndarray, np.ndarray]:
     """Rows that refer to things of a role, and the number of the thing, shape (n,) each."""
     rows, thing = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
     for b, block in enumerate(measured.blocks):
-        names = [each.name for each in KINDS[block.kind].roles]
+        names = [each.name for each in MEASUREMENT_KINDS[block.kind].roles]
         if role in names:
             of_block = np.flatnonzero(measured.block == b)
             rows.append(of_block)
@@ -162,7 +162,7 @@ def _solved(fit_problem: Problem, fit: Fit) -> _Solved | None:
     return _Solved(fit_problem.groups, groups, fit.covariance, _members(fit_problem.measured, fit_problem.groups))
 
 
-def _members(measured: Measured, groups: Groups) -> list[list[str]]:
+def _members(measured: Observations, groups: Groups) -> list[list[str]]:
     """Names of the unknowns of each group, in their order."""
     names = [[""] * groups.unknown.shape[1] for _ in range(len(groups.unknown))]
     for role, slots in groups.slot.items():
@@ -209,7 +209,7 @@ def _values(things: Things, name: str, state: np.ndarray, result: _ThingResult, 
         tilts: Status = next((s for s in ("redundant", "identified") if s in status[:2]), "fixed")
         status = (tilts, tilts, tilts, status[2])
         partners = (partners[0], partners[0], partners[0], partners[2])
-    elif components[:6] == PLACE:
+    elif components[:6] == PLACE_COMPONENTS:
         rpy = pin.rpy.matrixToRpy(final[R9].reshape(3, 3)) if np.isfinite(final[R9]).all() else np.full(3, np.nan)
         values = np.concatenate([final[T], rpy, final[R9.stop : R9.stop + len(components) - 6]])
     return [
@@ -228,7 +228,7 @@ def _values(things: Things, name: str, state: np.ndarray, result: _ThingResult, 
     ]
 
 
-def known_scale(rows: Dataset) -> float | None:
+def known_scale_sigma(rows: Dataset) -> float | None:
     """1-sigma of the scale of the measurements from lengths that are known beforehand, [m/m].
 
     Returns:
@@ -253,7 +253,7 @@ def scale_std(fit: Fit, train: Dataset) -> float | None:
         fit: A stage.
         train: The rows that it was fitted to.
     """
-    beforehand = known_scale(train)
+    beforehand = known_scale_sigma(train)
     if beforehand is None or beforehand == 0.0 or np.isinf(beforehand):
         return beforehand
     fit_problem = problem(fit.model, train)

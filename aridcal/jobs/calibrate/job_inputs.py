@@ -14,13 +14,13 @@ from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.files.read import load_measurements
-from aridcal.jobs.head1992.observations import Detections, Read
+from aridcal.jobs.head1992.observations import CampaignRows, Detections
 from aridcal.system.errors import CampaignError, MeasurementError
 from aridcal.system.progress import SILENT, Progress
 
 
 @dataclass(frozen=True)
-class Job:
+class CalibrationJob:
     """A campaign, its robot and its rows.
 
     Attributes:
@@ -46,7 +46,7 @@ class Job:
 
 def read_job(
     job: Path | Campaign, seed: int = 0, progress: Progress = SILENT, cache: Path | None = None, verified: bool = False
-) -> Job:
+) -> CalibrationJob:
     """Read a campaign, its robot and its rows.
 
     Args:
@@ -68,10 +68,10 @@ def read_job(
     inputs = read_rows(campaign, robot, cache, seed, progress)
     rows = with_directions(inputs.rows)
     still = _check_motion(inputs.campaign, robot, rows)
-    return Job(inputs.campaign, robot, rows, inputs.detections, still, started, seed, cache)
+    return CalibrationJob(inputs.campaign, robot, rows, inputs.detections, still, started, seed, cache)
 
 
-def looked_again(job: Job, lens: np.ndarray, progress: Progress) -> Job:
+def redetect_fiducials(job: CalibrationJob, lens: np.ndarray, progress: Progress) -> CalibrationJob:
     """The job with fiducials sought again in its images by another lens, intrinsics of shape (9,)."""
     inputs = read_rows(job.campaign, job.robot, job.cache, job.seed, progress, lens)
     rows = with_directions(inputs.rows)
@@ -85,14 +85,16 @@ def read_rows(
     seed: int,
     progress: Progress,
     lens: np.ndarray | None = None,
-) -> Read:
+) -> CampaignRows:
     """Read the measurements of a campaign, from its tables or from the images of its head."""
     if campaign.measurements.head is not None:
         # OpenCV and pandas load slowly, and most campaigns have no images
         from aridcal.jobs.head1992.detections import read_shots
 
         return read_shots(campaign, robot, cache, seed, progress, lens)
-    return Read(campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed, robot=robot))
+    return CampaignRows(
+        campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed, robot=robot)
+    )
 
 
 def _check_motion(campaign: Campaign, robot: Robot, rows: Dataset) -> tuple[str, ...]:

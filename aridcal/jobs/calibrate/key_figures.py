@@ -9,12 +9,12 @@ import numpy as np
 
 from aridcal.engine.instruments.channels import Channels, norms, spread
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.noise_tests import SURE
+from aridcal.engine.search.noise_tests import FALSE_ALARM
 from aridcal.engine.search.residual_trends import Order, Trace
 from aridcal.engine.trust.gains import NamedEffect
 from aridcal.engine.trust.halves import Halves
 from aridcal.jobs.calibrate.folder import parameters
-from aridcal.jobs.calibrate.outcome import Outcome, Stage, leading, said, statistics
+from aridcal.jobs.calibrate.outcome import Outcome, Stage, leading, rms_in_words, statistics
 
 QUESTIONABLE_OUTLIERS = 0.03
 """Share of outliers above which the measurement is at fault. A sound setup loses a reflector now and then: some rows in a
@@ -43,12 +43,12 @@ PLUS = "+\u00a0"
 FULL_TURN = 2 * np.pi
 """The error curve of a revolute joint repeats after it [rad]."""
 
-FRAMES = ("world_base.", "world_base[", "tip_target.", "tip_target[")
+FRAME_PREFIXES = ("world_base.", "world_base[", "tip_target.", "tip_target[")
 """How the names of the frames' own coefficients begin."""
 
 
 @dataclass(frozen=True)
-class Step:
+class ModelStep:
     """One model on the way from the nominal robot to the whole model.
 
     Attributes:
@@ -76,15 +76,15 @@ class JointRange:
         name: Of the joint.
         kind: ``revolute``, ``continuous`` or ``prismatic``.
         limits: Its lower and upper limit, [rad] or [m]; None if it has none.
-        seen: Its lowest and highest reading, [rad] or [m].
-        share: Its readings, shape (N,): 0 at the lower limit, 1 at the upper one (the ends of ``seen`` without limits).
+        range: Its lowest and highest reading, [rad] or [m].
+        share: Its readings, shape (N,): 0 at the lower limit, 1 at the upper one (the ends of ``range`` without limits).
         measured: Share of the range between the extreme readings; of one turn, where the range is larger.
     """
 
     name: str
     kind: str
     limits: tuple[float, float] | None
-    seen: tuple[float, float]
+    range: tuple[float, float]
     share: np.ndarray
     measured: float
 
@@ -109,7 +109,7 @@ def every_held_out_row(outcome: Outcome) -> str:
     """The error of the final model on all held-out rows, flagged ones too, in words."""
     held_out = outcome.parts()["test_all"]
     flagged = int((held_out & outcome.outlier).sum())
-    error = said(outcome.stages[-1].residual, held_out, outcome.measurements)
+    error = rms_in_words(outcome.stages[-1].residual, held_out, outcome.measurements)
     return f"{flagged} of {held_out.sum():,} held-out rows flagged as outliers; {error} RMS with all of them"
 
 
@@ -128,7 +128,7 @@ def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:
     return norms(residual, channels) * scale[:, None]
 
 
-def overall(residual: np.ndarray, mask: np.ndarray, rows: Dataset, sigma: np.ndarray) -> float:
+def overall_error(residual: np.ndarray, mask: np.ndarray, rows: Dataset, sigma: np.ndarray) -> float:
     """One number for the error of some rows: the RMS of the leading channel as it is shown; of several channels in sigmas.
 
     Args:
@@ -161,7 +161,7 @@ def judging_errors(residual: np.ndarray, rows: Dataset, sigma: np.ndarray) -> np
 
 
 def squared(outcome: Outcome) -> str:
-    """The square of :func:`overall` in words: ``squared position error``."""
+    """The square of :func:`overall_error` in words: ``squared position error``."""
     leading_channels = leading(outcome.measurements)
     return (
         f"squared {outcome.channels[leading_channels[0]].noun}"
@@ -179,7 +179,7 @@ def or_as_well(effect: NamedEffect) -> str:
     return f", or as well {', '.join(names[:MOST_TWINS])}{rest}"
 
 
-def another_day(outcome: Outcome) -> tuple[bool, str] | None:
+def verification_agreement(outcome: Outcome) -> tuple[bool, str] | None:
     """Whether another day's rows agree with the calibration, and the sentence on that; None without such rows."""
     verification = outcome.verification
     if verification is None:
@@ -188,9 +188,12 @@ def another_day(outcome: Outcome) -> tuple[bool, str] | None:
     sound = ~verification.outlier
     last, rows, day_rows = outcome.stages[-1], outcome.measurements, verification.measurements
     mask = mask & np.isin(rows.labels.block, day_rows.labels.block)  # compared with rows of the same instruments
-    own_error = overall(last.residual, mask, rows, outcome.noise)
-    other_error = overall(verification.residuals[last.name], sound, day_rows, outcome.noise)
-    in_words, before = said(verification.residuals[last.name], sound, day_rows), said(last.residual, mask, rows)
+    own_error = overall_error(last.residual, mask, rows, outcome.noise)
+    other_error = overall_error(verification.residuals[last.name], sound, day_rows, outcome.noise)
+    in_words, before = (
+        rms_in_words(verification.residuals[last.name], sound, day_rows),
+        rms_in_words(last.residual, mask, rows),
+    )
     if rows.measures[mask][:, leading(rows)].any(axis=0).sum() < 2:
         before = before.partition(" ")[0]
     own_rows = f", {verification.copied:,} of the campaign's own left out" if verification.copied else ""
@@ -200,9 +203,12 @@ def another_day(outcome: Outcome) -> tuple[bool, str] | None:
         return True, f"{sentence}."
     if verification.realigned is None:
         return False, f"{sentence}: the robot, the target or the instrument has changed since."
-    moved = overall(verification.realigned, sound, day_rows, outcome.noise) < OVERFIT_RATIO * own_error
+    moved = overall_error(verification.realigned, sound, day_rows, outcome.noise) < OVERFIT_RATIO * own_error
     why = "the target or the instrument was remounted" if moved else "the robot has changed since"
-    return False, f"{sentence}; {said(verification.realigned, sound, day_rows)} with both frames fitted anew: {why}."
+    return (
+        False,
+        f"{sentence}; {rms_in_words(verification.realigned, sound, day_rows)} with both frames fitted anew: {why}.",
+    )
 
 
 def solved_stages(outcome: Outcome) -> dict[str, Stage]:
@@ -217,23 +223,23 @@ def solved_stages(outcome: Outcome) -> dict[str, Stage]:
     return {name: stage for name, stage in stages if stage.name != "nominal"}
 
 
-def steps(outcome: Outcome) -> list[Step]:
+def steps(outcome: Outcome) -> list[ModelStep]:
     """From the nominal robot to the whole model, one effect at a time; models with the same residual are one step."""
     *first, final = outcome.stages
     last = outcome.effects[-1].effect.label if outcome.effects else ""
-    path = [Step((stage.name,), "", stage.residual) for stage in first]
-    path += [Step((f"{PLUS}{e.effect.label}",), e.effect.label, e.reached) for e in outcome.effects[:-1]]
-    path.append(Step((f"{PLUS}{last}", final.name) if last else (final.name,), last, final.residual))
-    merged: list[Step] = []
+    path = [ModelStep((stage.name,), "", stage.residual) for stage in first]
+    path += [ModelStep((f"{PLUS}{e.effect.label}",), e.effect.label, e.reached) for e in outcome.effects[:-1]]
+    path.append(ModelStep((f"{PLUS}{last}", final.name) if last else (final.name,), last, final.residual))
+    merged: list[ModelStep] = []
     for step in path:
         if merged and np.array_equal(merged[-1].residual, step.residual):
             before = merged.pop()
-            step = Step(before.names + step.names, before.effect or step.effect, step.residual)
+            step = ModelStep(before.names + step.names, before.effect or step.effect, step.residual)
         merged.append(step)
     return merged
 
 
-def removed_shares(outcome: Outcome) -> list[tuple[Step, float]]:
+def removed_shares(outcome: Outcome) -> list[tuple[ModelStep, float]]:
     r"""Which share of the squared error (see :func:`squared`) each step removes, the largest first.
 
     .. math:: s_k = (e_{k-1}^2 - e_k^2) / e_0^2
@@ -243,20 +249,20 @@ def removed_shares(outcome: Outcome) -> list[tuple[Step, float]]:
     """
     mask, _ = scored(outcome)
     path = steps(outcome)
-    square = [overall(step.residual, mask, outcome.measurements, outcome.noise) ** 2 for step in path]
+    square = [overall_error(step.residual, mask, outcome.measurements, outcome.noise) ** 2 for step in path]
     gains = [(step, square[k] - square[k + 1]) for k, step in enumerate(path[1:]) if square[k] != square[k + 1]]
     gains.sort(key=lambda pair: pair[1], reverse=True)
     return [(step, gain / square[0]) for step, gain in gains]
 
 
-def of_frame(name: str) -> bool:
+def is_of_frame(name: str) -> bool:
     """True if a coefficient belongs to the frame of the base or of the target."""
-    return name.startswith(FRAMES)
+    return name.startswith(FRAME_PREFIXES)
 
 
 def constants(outcome: Outcome) -> list[dict[str, Any]]:
     """The geometric parameters without the two frames, each as :func:`aridcal.jobs.calibrate.folder.parameters` has it."""
-    return [p for p in parameters(outcome.stage("geometric").fit) if not of_frame(p["name"])]
+    return [p for p in parameters(outcome.stage("geometric").fit) if not is_of_frame(p["name"])]
 
 
 def joint_ranges(outcome: Outcome) -> list[JointRange]:
@@ -296,7 +302,9 @@ def generalisation(outcome: Outcome) -> float | None:
     parts, last = outcome.parts(), outcome.stages[-1].residual
     if parts["test"].sum() < LEAST_HELD_OUT:
         return None
-    fitted, held_out = (overall(last, parts[part], outcome.measurements, outcome.noise) for part in ("train", "test"))
+    fitted, held_out = (
+        overall_error(last, parts[part], outcome.measurements, outcome.noise) for part in ("train", "test")
+    )
     return held_out / fitted if fitted > 0 else None
 
 
@@ -335,14 +343,14 @@ def corrected(p_value: float, questions: int) -> float:
     return min(1.0, p_value * questions)
 
 
-def strays(order: Order) -> int:
+def stray_autocorrelations(order: Order) -> int:
     """How many autocorrelations leave the 95 % band of noise."""
     return int(np.sum(np.abs(order.correlation) > order.bound))
 
 
 def slowly_changing(order: Order) -> bool:
     """Whether consecutive rows have similar residuals: too few changes of sign, or too many correlations off the band."""
-    return order.p_value < SURE or strays(order) / len(order.lags) > STRAY_SHARE
+    return order.p_value < FALSE_ALARM or stray_autocorrelations(order) / len(order.lags) > STRAY_SHARE
 
 
 def clear_traces(outcome: Outcome) -> list[Trace]:
@@ -352,4 +360,4 @@ def clear_traces(outcome: Outcome) -> list[Trace]:
 
 def significant(trace: Trace, questions: int) -> bool:
     """Whether a dependence is more than chance gives among so many."""
-    return trace.after.p_value * questions <= SURE
+    return trace.after.p_value * questions <= FALSE_ALARM

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.robot.chain import Robot
-from aridcal.system.wording import enumerated
+from aridcal.system.wording import enumeration
 
 MOST_PLACES = 6
 """Places at the most: a coefficient confounded with more is so with everything, for want of rows and not by the tree."""
@@ -60,4 +60,4 @@ def _group(robot: Robot, place: str) -> str:
 
 def _in_words(robot: Robot, places: Sequence[str]) -> str:
     """Places, joints with their limbs."""
-    return enumerated([robot.place_in_words(place) for place in places])
+    return enumeration([robot.place_in_words(place) for place in places])

@@ -11,7 +11,7 @@ from aridcal.engine.fit.stages import with_things_moved
 from aridcal.engine.instruments.camera import predict_pixels
 from aridcal.engine.instruments.camera_sonar import HEAD, Head, ShotPoses, reduced, unpacked
 from aridcal.engine.rows.dataset import Dataset, with_places
-from aridcal.jobs.calibrate.closed_form import ClosedForm, closed_form
+from aridcal.jobs.calibrate.doty_answer import ClosedForm, closed_form
 from aridcal.jobs.head1992.observations import Detections
 
 WILD_MISFIT = 4.0
@@ -74,7 +74,7 @@ class MeasuringHead:
     notices: tuple[str, ...]
 
 
-def lens_found(geometric: Fit, final: Fit, detections: Detections) -> np.ndarray | None:
+def identified_lens(geometric: Fit, final: Fit, detections: Detections) -> np.ndarray | None:
     """Intrinsics of the camera as identified, shape (9,), where fiducials should be looked for again with them; else None.
 
     Args:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import Repeats
+from aridcal.engine.fit.noise import RepeatScatter
 from aridcal.engine.instruments.channels import Channels, norms
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
@@ -18,13 +18,13 @@ from aridcal.engine.trust.certainty import Certainty
 from aridcal.engine.trust.gains import Diagnosis, NamedEffect
 from aridcal.engine.trust.iso9283 import Iso9283, iso_9283
 from aridcal.engine.trust.second_look import SecondLook
-from aridcal.engine.trust.target_uncertainty import TargetView, at_target
+from aridcal.engine.trust.target_uncertainty import TargetView, target_view
 from aridcal.engine.trust.uncertainty import Precision
 from aridcal.files.campaign import Campaign
 from aridcal.jobs.calibrate.instrument_results import ThingValue, thing_values
 from aridcal.jobs.calibrate.measuring_head import MeasuringHead
 from aridcal.jobs.calibrate.verdict import Verdict
-from aridcal.system.wording import enumerated
+from aridcal.system.wording import enumeration
 
 STATISTICS = ("rms", "mean", "median", "p95", "max")
 
@@ -109,7 +109,7 @@ class Outcome:
     outlier: np.ndarray
     noise: np.ndarray
     noise_source: str
-    repeats: Repeats | None
+    repeats: RepeatScatter | None
     precision: Precision
     verdict: Verdict
     notices: tuple[str, ...]
@@ -141,7 +141,7 @@ class Outcome:
     @cached_property
     def at_target(self) -> TargetView:
         """The rows as seen from the target of the final model."""
-        return at_target(self.stages[-1].fit, self.measurements)
+        return target_view(self.stages[-1].fit, self.measurements)
 
     @cached_property
     def things(self) -> tuple[ThingValue, ...]:
@@ -189,7 +189,7 @@ def leading(rows: Dataset) -> tuple[int, ...]:
     return tuple(first[:-1].tolist())
 
 
-def said(residual: np.ndarray, mask: np.ndarray, rows: Dataset) -> str:
+def rms_in_words(residual: np.ndarray, mask: np.ndarray, rows: Dataset) -> str:
     """RMS errors of some rows in words: ``0.123 mm``, of several instruments ``0.123 mm and 0.301 px``.
 
     Args:
@@ -200,7 +200,7 @@ def said(residual: np.ndarray, mask: np.ndarray, rows: Dataset) -> str:
     figures = errors(residual, mask, rows.channels)
     channels = [rows.channels[k] for k in leading(rows)]
     measured = [c for c in channels if not np.isnan(figures[c.key]["rms"])] or channels[:1]
-    return enumerated([f"{figures[c.key]['rms']:.3f} {c.shown}" for c in measured])
+    return enumeration([f"{figures[c.key]['rms']:.3f} {c.shown}" for c in measured])
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:

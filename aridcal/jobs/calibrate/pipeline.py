@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.engine.fit.constants import asked_constants, station_labels, unused_links
+from aridcal.engine.fit.constants import constants_of_question, station_labels, unused_links
 from aridcal.engine.fit.flags import distance, robust_sigma
 from aridcal.engine.fit.least_squares import Fit, fit
-from aridcal.engine.fit.noise import Repeats, declared_notices, repeats
+from aridcal.engine.fit.noise import RepeatScatter, declared_notices, repeats
 from aridcal.engine.fit.problem import problem, scaled, unscaled
 from aridcal.engine.fit.stages import Geometry, recentred, with_things_moved
 from aridcal.engine.model.memory import Size, available_memory, check_memory
@@ -20,40 +20,46 @@ from aridcal.engine.model.rigid_bodies import targets_of_one_body
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
-from aridcal.engine.search.declared import CONFOUNDED, NO_BETTER
-from aridcal.engine.search.diagnose import SEARCHED, SearchResult
+from aridcal.engine.rows.split import held_back_groups
+from aridcal.engine.search.declared_effects import CONFOUNDED_SENTENCE, NOT_BETTER_HELD_BACK
+from aridcal.engine.search.diagnose import MOST_SEARCHED_ROWS, SearchResult
 from aridcal.engine.search.loop import (
-    LEAST_FREEDOM,
+    LEAST_NUMBERS_LEFT,
     CalibratedArm,
     calibrated_arm,
     fit_constants,
     is_short,
     structured_notices,
 )
-from aridcal.engine.search.noise_tests import ASKED, STRETCHES, Clue, clues, stretches
+from aridcal.engine.search.noise_tests import MOST_TESTED_ROWS, TESTED_STRETCHES, Clue, clues, stretches
 from aridcal.engine.search.residual_trends import trace
 from aridcal.engine.trust.certainty import certainty
 from aridcal.engine.trust.gains import explain
 from aridcal.engine.trust.second_look import second_look
-from aridcal.engine.trust.uncertainty import FAR, outliers, precision, realigned, with_noise_seen
+from aridcal.engine.trust.uncertainty import (
+    GROSS_OUTLIER_SCALES,
+    outliers,
+    precision,
+    realigned,
+    with_contradicted_noise,
+)
 from aridcal.files.campaign import Campaign
 from aridcal.files.quantities import computed
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable
-from aridcal.jobs.calibrate.closed_form import closed_form_starts
+from aridcal.jobs.calibrate.doty_answer import closed_form_starts
 from aridcal.jobs.calibrate.gravity_direction import gravity_direction
 from aridcal.jobs.calibrate.groups import LEAST_SHARE, groups
-from aridcal.jobs.calibrate.job_inputs import Job, looked_again, read_job
+from aridcal.jobs.calibrate.job_inputs import CalibrationJob, read_job, redetect_fiducials
 from aridcal.jobs.calibrate.limb_redundancies import limb_redundancies
-from aridcal.jobs.calibrate.measuring_head import lens_found, measuring_head
+from aridcal.jobs.calibrate.measuring_head import identified_lens, measuring_head
 from aridcal.jobs.calibrate.outcome import Outcome, Stage, Verification
-from aridcal.jobs.calibrate.region import region, wanted
+from aridcal.jobs.calibrate.tolerance_region import region, requirement
 from aridcal.jobs.calibrate.verdict import Verdict, decide, row_clues
 from aridcal.jobs.head1992.observations import Detections
 from aridcal.system.errors import MeasurementError, NotOfThisRobot
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.freed import give_back
+from aridcal.system.reading.memory_release import give_back
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 """Gets the rows and the fit of frames and constants, None if there is none; may refuse the rows and say why."""
@@ -87,7 +93,7 @@ ONE_PLACE = "the {} rows lie in {} places, and those of one place err alike: the
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedArm:
     """A calibrated arm with what may be said of it.
 
     Attributes:
@@ -100,13 +106,13 @@ class Judged:
 
     stages: tuple[Stage, ...]
     outlier: np.ndarray
-    repeats: Repeats | None
+    repeats: RepeatScatter | None
     clues: tuple[Clue, ...]
     verdict: Verdict
 
 
 def identify(
-    job: Path | Campaign | Job,
+    job: Path | Campaign | CalibrationJob,
     seed: int = 0,
     verify: AnyTable | None = None,
     progress: Progress = SILENT,
@@ -128,15 +134,17 @@ def identify(
     Raises:
         AridcalError: whatever in the input needs mending.
     """
-    if not isinstance(job, Job):
+    if not isinstance(job, CalibrationJob):
         job = read_job(job, seed, progress, cache, verify is not None)
     # read before the work is done, so that a table of the campaign's own rows is refused at once
-    verification_rows = None if verify is None else other_day(job.campaign, job.robot, job.rows, verify)
+    verification_rows = None if verify is None else read_verification(job.campaign, job.robot, job.rows, verify)
     arm, where = _calibrated(job, choose, judge, progress)
-    lens = None if job.detections is None else lens_found(arm.geometry.geometric, arm.diagnosed.fit, job.detections)
+    lens = (
+        None if job.detections is None else identified_lens(arm.geometry.geometric, arm.diagnosed.fit, job.detections)
+    )
     if lens is not None:
         progress("looking for the fiducials again, with the lens that was found")
-        job = looked_again(job, lens, progress)
+        job = redetect_fiducials(job, lens, progress)
         arm, where = _calibrated(job, choose, judge, progress)
     outcome = _outcome(job.campaign, job.robot, arm, where, job.still, job.detections, progress)
     if verification_rows is not None:
@@ -146,7 +154,7 @@ def identify(
 
 
 def _calibrated(
-    job: Job, choose: Callable[[Dataset], Dataset], judge: Judge, progress: Progress
+    job: CalibrationJob, choose: Callable[[Dataset], Dataset], judge: Judge, progress: Progress
 ) -> tuple[CalibratedArm, np.ndarray | None]:
     """The calibrated arm of a job, and the readings of the region that its campaign names; see :func:`identify`."""
     campaign, robot, rows = job.campaign, job.robot, choose(job.rows)
@@ -179,19 +187,19 @@ def _outcome(
     give_back()  # what the fits took: here and below the most memory is wanted
     rows, diagnosed = arm.rows, arm.diagnosed
     train = rows.fitted
-    judgement = judged(arm, progress)
+    judgement = judge_arm(arm, progress)
     stages, outlier, final = judgement.stages, judgement.outlier, judgement.stages[-1].fit
     inliers = rows.select(~outlier)
     traced = np.flatnonzero(~outlier)[stretches(inliers.sequence, TRACED_ROWS)]
     progress("fitting halves of the rows apart")
     look = second_look(stages[1].fit, diagnosed.fit, train, progress)
-    constants = asked_constants(campaign.question, robot, rows)
+    constants = constants_of_question(campaign.question, robot, rows)
     progress("working out how well the target is known")
     give_back()
     certain = certainty(
-        wanted(campaign), final, rows, constants, where, outlier, stages[-1].residual, judgement.repeats
+        requirement(campaign), final, rows, constants, where, outlier, stages[-1].residual, judgement.repeats
     )
-    stages = with_instruments_found(stages, train)
+    stages = refit_with_final_instruments(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
     known_to = precision(final, train)
     give_back()
@@ -217,7 +225,11 @@ def _outcome(
             *_shared(rows, final),
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
-            *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why in (CONFOUNDED, NO_BETTER)),
+            *(
+                f"{b.what} is left out: {b.why}"
+                for b in diagnosed.barred
+                if b.why in (CONFOUNDED_SENTENCE, NOT_BETTER_HELD_BACK)
+            ),
             *_searched(train, len(inliers), campaign, arm.geometry.geometric),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
@@ -237,7 +249,7 @@ def _shared(rows: Dataset, final: Fit) -> Iterator[str]:
     if bodies > 1:
         yield ONE_BODY.format(bodies)
     elif rows.repeats.share < 1.0:
-        place = held_together(rows)
+        place = held_back_groups(rows)
         yield ONE_PLACE.format(len(rows), place.max() + 1, rows.repeats.share * len(rows))
 
 
@@ -245,18 +257,20 @@ def _searched(train: Dataset, inliers: int, campaign: Campaign, geometric: Fit) 
     """Sentences on questions put to a part of many rows only, and on a search for which there are too few rows."""
     sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
     if sought and is_short(geometric):
-        yield NOT_SOUGHT.format(100.0 * _freedom(geometric), 100.0 * LEAST_FREEDOM)
-    elif sought and len(train) > SEARCHED:
-        factor = np.sqrt(len(train) / SEARCHED)
+        yield NOT_SOUGHT.format(100.0 * _freedom(geometric), 100.0 * LEAST_NUMBERS_LEFT)
+    elif sought and len(train) > MOST_SEARCHED_ROWS:
+        factor = np.sqrt(len(train) / MOST_SEARCHED_ROWS)
         yield (
-            f"effects were sought in {SEARCHED:,} of the {len(train):,} fitted rows, and then fitted to all: to be seen, one "
+            f"effects were sought in {MOST_SEARCHED_ROWS:,} of the {len(train):,} fitted rows, and then fitted to all: to be "
+            f"seen, one "
             f"must be {factor:.1f} times as large as in a search of all rows"
         )
-    if inliers > ASKED:
-        yield f"whether what remains is noise was asked of {ASKED:,} of {inliers:,} rows, in {STRETCHES} stretches on end"
+    if inliers > MOST_TESTED_ROWS:
+        tested_rows = f"{MOST_TESTED_ROWS:,} of {inliers:,} rows, in {TESTED_STRETCHES} stretches on end"
+        yield f"whether what remains is noise was asked of {tested_rows}"
 
 
-def with_instruments_found(stages: tuple[Stage, ...], train: Dataset) -> tuple[Stage, ...]:
+def refit_with_final_instruments(stages: tuple[Stage, ...], train: Dataset) -> tuple[Stage, ...]:
     """The stages, the geometric constants refitted with the instruments of the final stage: they go into the URDF.
 
     The residual of the geometric stage stays that with the instruments as declared.
@@ -270,7 +284,7 @@ def with_instruments_found(stages: tuple[Stage, ...], train: Dataset) -> tuple[S
     return nominal, replace(geometric, fit=geometric_fit), final
 
 
-def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
+def judge_arm(arm: CalibratedArm, progress: Progress = SILENT) -> JudgedArm:
     """Fit every stage with the final model's flags, put all questions to the residuals, and decide on the verdict."""
     rows = arm.rows
     stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit, progress)
@@ -281,18 +295,18 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
     # Of several targets of one body one row counts: the others err like it, whatever the model.
     one_each = inliers, white
     if rows.repeats.share < 1.0:
-        first = np.unique(held_together(inliers), return_index=True)[1]
+        first = np.unique(held_back_groups(inliers), return_index=True)[1]
         one_each = inliers.select(first), white[first]
     answers = clues(*one_each, repeats(inliers, white), _freedom(final), final, progress)
     answers += row_clues(rows, final, residual, outlier)
     answers += _groups(rows, final, residual, outlier)
-    effects = [active.effect for active in arm.diagnosed.found.state.active]
+    effects = [active.effect for active in arm.diagnosed.stepwise.state.active]
     scatter = repeats(inliers, raw)
     freedom = np.zeros(len(rows.channels)) if scatter is None else scatter.freedom
     noise_known = all(s is not None or f > 0 for s, f in zip(rows.sigma, freedom.tolist(), strict=True))
     setting = gravity_direction(arm.geometry.geometric, rows.fitted)
     verdict = decide(answers, effects, min(_freedom(final), arm.geometry.free), noise_known, setting)
-    return Judged(stages, outlier, scatter, tuple(answers), verdict)
+    return JudgedArm(stages, outlier, scatter, tuple(answers), verdict)
 
 
 def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray) -> list[Clue]:
@@ -302,7 +316,7 @@ def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray
     """
     some = np.ones(len(rows), dtype=bool) if outlier.mean() >= LEAST_SHARE else ~outlier
     if rows.repeats.share < 1.0:
-        some = np.flatnonzero(some)[np.unique(held_together(rows.select(some)), return_index=True)[1]]
+        some = np.flatnonzero(some)[np.unique(held_back_groups(rows.select(some)), return_index=True)[1]]
     elif some.all():  # of many rows a copy counts
         return groups(rows, residual, final)
     return groups(rows.select(some), residual[some], final)
@@ -310,7 +324,9 @@ def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray
 
 def _derived_notices(rows: Dataset, diagnosed: SearchResult) -> tuple[str, ...]:
     """Sentences on effects of a side of approach that was derived from the order of the rows."""
-    needed = [name for a in diagnosed.found.state.active for name in a.effect.covariates if name in rows.origin.derived]
+    needed = [
+        name for a in diagnosed.stepwise.state.active for name in a.effect.covariates if name in rows.origin.derived
+    ]
     return tuple(
         f"{name} is derived from the order of the rows: predict takes the middle between both sides where a table lacks it"
         for name in dict.fromkeys(needed)
@@ -326,10 +342,10 @@ def _size(campaign: Campaign, robot: Robot, rows: Dataset) -> Size:
     """Size of a calibration, for the forecast of its memory."""
     question = campaign.question
     return Size(
-        coefficients=len(asked_constants(question, robot, rows)),
+        coefficients=len(constants_of_question(question, robot, rows)),
         stations=len(station_labels(question, rows)),
         rows=len(rows),
-        searched=min(int(rows.train.sum()), SEARCHED) if question.sought else 0,
+        searched=min(int(rows.train.sum()), MOST_SEARCHED_ROWS) if question.sought else 0,
         numbers=sum(channel.size for channel in rows.channels),
         joints=len(robot.joints),
     )
@@ -347,7 +363,7 @@ def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -
             stage_fit = replace(
                 refit, candidates=stage_fit.candidates, redundant=stage_fit.redundant, convergence=convergence
             )
-        stage_fit = recentred(with_noise_seen(stage_fit, train, progress) if name == "final" else stage_fit)
+        stage_fit = recentred(with_contradicted_noise(stage_fit, train, progress) if name == "final" else stage_fit)
         same = bool(stages) and _alike(stages[-1].fit, stage_fit)
         residual = stages[-1].residual if same else problem(stage_fit.model, rows).residual(stage_fit.theta)
         stages.append(Stage(name, stage_fit, residual))
@@ -374,10 +390,10 @@ def score(outcome: Outcome, table: AnyTable) -> Verification:
     Raises:
         AridcalError: the table needs mending, or is the campaign's own.
     """
-    return _scored(outcome, *other_day(outcome.campaign, outcome.robot, outcome.measurements, table))
+    return _scored(outcome, *read_verification(outcome.campaign, outcome.robot, outcome.measurements, table))
 
 
-def other_day(campaign: Campaign, robot: Robot, campaign_rows: Dataset, table: AnyTable) -> tuple[Dataset, int]:
+def read_verification(campaign: Campaign, robot: Robot, campaign_rows: Dataset, table: AnyTable) -> tuple[Dataset, int]:
     """Read another day's rows.
 
     Args:
@@ -428,7 +444,9 @@ def _numbers(rows: Dataset, width: int) -> np.ndarray:
 def _scored(outcome: Outcome, rows: Dataset, copied: int) -> Verification:
     stage_problems = {stage.name: (problem(stage.fit.model, rows), stage.fit) for stage in outcome.stages}
     after_realigning = realigned(stage_problems["final"][1], stage_problems["final"][0])
-    outlier = distance(after_realigning, robust_sigma(after_realigning, rows.channels), rows.channels) > FAR
+    outlier = (
+        distance(after_realigning, robust_sigma(after_realigning, rows.channels), rows.channels) > GROSS_OUTLIER_SCALES
+    )
     residuals = {
         name: fit_problem.residual(stage_fit.theta) for name, (fit_problem, stage_fit) in stage_problems.items()
     }

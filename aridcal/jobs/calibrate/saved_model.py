@@ -17,16 +17,16 @@ from aridcal import __version__
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.loads import Payload, Surroundings
 from aridcal.engine.corrections.sights import TARGET, Sights
-from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS, labelled
 from aridcal.engine.inverse.one_pose import Command, InverseKinematics
-from aridcal.engine.inverse.one_row import OneRowModel
-from aridcal.engine.model.many_rows import few
-from aridcal.engine.model.model import Frames, Model
+from aridcal.engine.inverse.row_kinematics import OneRowModel
+from aridcal.engine.model.many_rows import short_stretches
+from aridcal.engine.model.model import LabelledFrames, Model
 from aridcal.engine.robot.chain import Route, check_route, parse_robot, with_limbs
-from aridcal.engine.robot.drive import Stated
+from aridcal.engine.robot.drive import StatedJoints
 from aridcal.engine.robot.kinematics import carriers
 from aridcal.engine.trust.rival_predictions import Rival, with_rivals
-from aridcal.engine.trust.unobservable import with_untold
+from aridcal.engine.trust.unobservable import with_unobservable
 from aridcal.engine.trust.wander import Wander
 from aridcal.engine.trust.workspace import OpenCombination, target_std
 from aridcal.files.campaign import Campaign
@@ -43,9 +43,9 @@ from aridcal.jobs.calibrate.calibration_file import (
     read_calibration,
     rivals_document,
     rivals_of,
+    unobservable_combinations,
+    unobservable_document,
     unpacked,
-    untold_document,
-    untold_of,
 )
 from aridcal.system.errors import AridcalError, CampaignError, RobotError, nearest, shortened
 from aridcal.system.reading.user_names import check_path
@@ -96,7 +96,7 @@ class SolvedModel:
             MeasurementError: a row's station is none of those that were calibrated.
         """
         rows = self.model.rows(readings, covariates, station, target)
-        apart = [self.model.poses(self.theta, rows[some]) for some in few(len(rows))]
+        apart = [self.model.poses(self.theta, rows[some]) for some in short_stretches(len(rows))]
         return np.concatenate([R for R, _ in apart]), np.concatenate([p for _, p in apart])
 
     def std(
@@ -184,7 +184,7 @@ class SavedModel:
         labels = {
             block.columns.get(role.name, role.name)
             for block in (self.campaign.blocks if self.campaign else ())
-            if block.kind in KINDS
+            if block.kind in MEASUREMENT_KINDS
             for role in labelled(block.kind)
         }
         if labels:  # the measured table itself may be predicted: its labels of instruments are no labels of targets
@@ -392,7 +392,7 @@ class SavedModel:
     @property
     def turns(self) -> bool:
         """True if the target's rotation was measured, not its position alone."""
-        return KINDS[self.kind].turns
+        return MEASUREMENT_KINDS[self.kind].turns
 
     def inverse_kinematics(self, station: str | None = None, target: str | None = None) -> InverseKinematics:
         """The solver that brings a target at a station to wanted poses; made once for each."""
@@ -437,14 +437,14 @@ class SavedModel:
             "largest_std": dict(zip(("position", "rotation"), self.largest_std, strict=True)),
             "geometric": _solved_document(self.geometric),
             "final": _solved_document(self.final),
-            **({"untold": untold_document(self.untold)} if self.untold else {}),
+            **({"untold": unobservable_document(self.untold)} if self.untold else {}),
             **({"rivals": rivals_document(self.rivals)} if self.rivals else {}),
             **self.record,
         }
         return str(yaml.dump(document, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
 
 
-def frames_document(frames: Frames) -> list[dict[str, Any]]:
+def frames_document(frames: LabelledFrames) -> list[dict[str, Any]]:
     """Frames as plain data: xyz [m] and quaternion (xyzw), with the station's label."""
     return [
         {"station": label, "xyz": _floats(f.translation), "quaternion": _floats(pin.Quaternion(f.rotation).coeffs())}
@@ -510,7 +510,7 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         KeyError, IndexError, ValueError, ArithmeticError: a coefficient has no place in the URDF, or its motion is no number.
     """
     about = document.robot
-    without_column = Stated(about.joints, about.coupled)
+    without_column = StatedJoints(about.joints, about.coupled)
     robot = parse_robot(about.content, about.tip, about.base, Path(about.urdf_name), stated=without_column)
     robot = with_limbs(robot, about.limbs) if about.limbs else robot
     paths: dict[str, Any] = {"routes": tuple(Route(*ends) for ends in about.routes), "target_on": about.targets}
@@ -531,8 +531,8 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         return solved_model
 
     geometric, final = solved(document.geometric), solved(document.final)
-    unobservable = untold_of(document)
-    _try(SolvedModel(*with_untold(final.model, final.theta, unobservable)), middle)
+    unobservable = unobservable_combinations(document)
+    _try(SolvedModel(*with_unobservable(final.model, final.theta, unobservable)), middle)
     rivals = rivals_of(document)
     _try(SolvedModel(*with_rivals(final.model, final.theta, rivals)), middle)
     dependencies = (*robot.readings, *final.model.needs)
@@ -566,7 +566,7 @@ def _try(solved: SolvedModel, middle: Mapping[str, float]) -> None:
         raise ValueError("a predicted pose is not finite")
 
 
-def _frames(entries: Sequence[FramePart]) -> Frames:
+def _frames(entries: Sequence[FramePart]) -> LabelledFrames:
     return tuple(
         (e.station, pin.SE3(pin.Quaternion(np.array(e.quaternion)).matrix(), np.array(e.xyz))) for e in entries
     )

@@ -14,11 +14,11 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.labels import is_label
 from aridcal.engine.corrections.sights import Sights
 from aridcal.engine.fit.least_squares import LEAST_FREEDOM, Fit
-from aridcal.engine.fit.noise import contradicted
+from aridcal.engine.fit.noise import noise_ratio
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.tails import Tails, tails_of
 from aridcal.engine.instruments.channels import columns, norms, spread
-from aridcal.engine.instruments.kinds import KINDS as INSTRUMENTS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS as INSTRUMENTS
 from aridcal.engine.instruments.setup import TIP, Instruments
 from aridcal.engine.model.model import ONE_FRAME, Model
 from aridcal.engine.rows.dataset import Dataset
@@ -47,7 +47,7 @@ def _without_wander(outcome: Outcome, tails: Sequence[Tails | None]) -> SavedMod
     final, target = outcome.stage("final").fit, _saved_target(m, outcome.head is not None)
     solved = _solved(final, target)
     largest_deviations = _largest_std(outcome, solved, target)
-    columns = seen_in(outcome)
+    columns = fitted_values(outcome)
     record = {
         "campaign": campaign.text,
         "data": {
@@ -80,8 +80,8 @@ def _without_wander(outcome: Outcome, tails: Sequence[Tails | None]) -> SavedMod
         record,
         {name: gaps for name, v in columns.items() if (gaps := holes(v))},
         largest_deviations,
-        () if outcome.certainty is None else _of_target(outcome.certainty.untold, final, target),
-        {name: ends(v) for name, v in recorded_in(outcome).items() if name not in columns},
+        () if outcome.certainty is None else _of_target(outcome.certainty.open_combinations, final, target),
+        {name: ends(v) for name, v in recorded_values(outcome).items() if name not in columns},
         _rivals(outcome, final, target),
     )
 
@@ -110,7 +110,7 @@ def _rivals(outcome: Outcome, final: Fit, target: _Target) -> tuple[Rival, ...]:
     )
 
 
-def seen_in(outcome: Outcome) -> dict[str, np.ndarray]:
+def fitted_values(outcome: Outcome) -> dict[str, np.ndarray]:
     """Readings, and covariates that predictions depend on, of the n fitted rows, by name, shape (n,) each."""
     m = outcome.measurements
     fitted = ~m.test & ~outcome.outlier
@@ -118,7 +118,7 @@ def seen_in(outcome: Outcome) -> dict[str, np.ndarray]:
     return columns | {name: m.covariates[name][fitted] for name in outcome.stage("final").fit.model.needs}
 
 
-def recorded_in(outcome: Outcome) -> dict[str, np.ndarray]:
+def recorded_values(outcome: Outcome) -> dict[str, np.ndarray]:
     """Numeric columns of the tables at the n fitted rows, by name, shape (n,) each."""
     m = outcome.measurements
     fitted = ~m.test & ~outcome.outlier
@@ -154,7 +154,7 @@ def _scatter(outcome: Outcome, fitted: np.ndarray, tails: Sequence[Tails | None]
     """
     fit, rows = outcome.stage("final").fit, outcome.measurements
     train = rows.fitted
-    surprise = contradicted(train, fit.estimated, fit.freedom)
+    surprise = noise_ratio(train, fit.estimated, fit.freedom)
     freedom_share = fit.freedom / fit.numbers
     scatter: dict[str, dict[str, Any]] = {}
     for k, (channel, part) in enumerate(zip(outcome.channels, columns(outcome.channels), strict=True)):

@@ -8,10 +8,17 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from aridcal.engine.corrections.effect import FRAMES
+from aridcal.engine.corrections.effect import MOUNTING_FRAMES
 from aridcal.engine.fit.constants import is_zero, origins_of, urdf_of
 from aridcal.engine.model.model import Model
-from aridcal.engine.robot.read_back import CONFIGURATIONS, TOLERANCE, Fault, ReadBackError, link_places, read_back
+from aridcal.engine.robot.read_back import (
+    COMPARED_CONFIGURATIONS,
+    READ_BACK_TOLERANCE,
+    Fault,
+    ReadBackError,
+    link_places,
+    read_back,
+)
 from aridcal.engine.robot.tree import read_tree
 
 
@@ -45,10 +52,10 @@ def _check_tips(file: str, model: Model, theta: np.ndarray, origins: Mapping[str
     """
     robot = model.robot
     tree = read_tree(robot.urdf, robot.path, robot.stated)
-    readings = np.random.default_rng(0).uniform(-1.0, 1.0, (CONFIGURATIONS, len(robot.readings)))
+    readings = np.random.default_rng(0).uniform(-1.0, 1.0, (COMPARED_CONFIGURATIONS, len(robot.readings)))
     moved = dict(zip(robot.names, robot.positions(readings).T, strict=True))
-    places = link_places(tree, {name: np.zeros(CONFIGURATIONS) for name in tree.moves} | moved, origins)
-    constant = [c.where not in FRAMES and (c.basis.constant or is_zero(c, robot)) for c in model.coefficients]
+    places = link_places(tree, {name: np.zeros(COMPARED_CONFIGURATIONS) for name in tree.moves} | moved, origins)
+    constant = [c.where not in MOUNTING_FRAMES and (c.basis.constant or is_zero(c, robot)) for c in model.coefficients]
     for limb in robot.limbs:
         joints = {*limb.names, *(fixed.name for gap in limb.fixed for fixed in gap)}
         of_limb = [k for k, c in enumerate(model.coefficients) if constant[k] and c.where in joints]
@@ -56,6 +63,6 @@ def _check_tips(file: str, model: Model, theta: np.ndarray, origins: Mapping[str
         R, p = arm.poses(theta[of_limb], arm.rows(readings[:, robot.columns_of(limb)]))
         T = np.linalg.inv(places[limb.base]) @ places[limb.tip]
         off = max(float(np.abs(T[:, :3, :3] - R).max()), float(np.abs(T[:, :3, 3] - p).max()))
-        if not off <= TOLERANCE * max(1.0, float(np.abs(p).max())):
+        if not off <= READ_BACK_TOLERANCE * max(1.0, float(np.abs(p).max())):
             fault = Fault(f"has link {limb.tip!r} elsewhere, by {off:.2g} m or rad", limb.tip)
             raise ReadBackError(file, "the model", fault)

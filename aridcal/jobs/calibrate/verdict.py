@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.fit.flags import MEASURED, Cluster, cluster
+from aridcal.engine.fit.flags import MEASURED_COORDINATE, Cluster, cluster
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.levels import FEWEST_TOGETHER, SEVERAL
 from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
-from aridcal.engine.search.loop import LEAST_FREEDOM
+from aridcal.engine.rows.split import held_back_groups
+from aridcal.engine.search.loop import LEAST_NUMBERS_LEFT
 from aridcal.engine.search.noise_tests import Clue
 
 MANY_FLAGGED = 0.03
@@ -105,12 +105,12 @@ def decide(
     telling = [c for c in clues if c.tells]
     share = max((c.share for c in telling), default=0.0)
     reasons = [*([setting] if setting else []), *(c.what for c in telling)]
-    unnamed = [e for e in effects if not KINDS[e.kind].named]
+    unnamed = [e for e in effects if not EFFECT_KINDS[e.kind].named]
     if unnamed:
         # Between and beyond the rows a smooth curve without a cause is not known.
         of = ", ".join(dict.fromkeys(f"{e.where} by {e.by or ' and '.join(e.covariates)}" for e in unnamed))
         reasons.append(f"a repeatable error has no known cause ({of})")
-    if freedom <= LEAST_FREEDOM:
+    if freedom <= LEAST_NUMBERS_LEFT:
         few = f"only {100 * max(freedom, 0.0):.0f} % of the measured numbers are left to judge the model by"
         return Verdict("not_enough_data", share, (few, *reasons))
     if reasons:
@@ -163,7 +163,7 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
     those of normal noise, keeps heavy tails from being taken for a difference.
     """
     train = rows.train & ~outlier
-    configurations = len(np.unique(held_together(rows)[test]))
+    configurations = len(np.unique(held_back_groups(rows)[test]))
     if configurations < FEWEST_TOGETHER or fit.freedom <= 0:
         return None
     m = float(np.mean(np.sum(~np.isnan(residual[train]), axis=1)))
@@ -222,7 +222,7 @@ def _together(rows: Dataset, residual: np.ndarray, outlier: np.ndarray) -> Clue 
     share = float(squares[group.rows].sum() / squares.sum())
     return Clue(
         "flags",
-        f"{group.rows.sum()} of {outlier.sum()} flagged rows lie together: {where(group)}",
+        f"{group.rows.sum()} of {outlier.sum()} flagged rows lie together: {cluster_in_words(group)}",
         share,
         group.p_value,
     )
@@ -234,9 +234,9 @@ def _squares(residual: np.ndarray, outlier: np.ndarray) -> np.ndarray:
     return np.asarray(np.nansum(residual**2 / np.maximum(usual, FLOOR**2), axis=1))
 
 
-def where(group: Cluster) -> str:
+def cluster_in_words(group: Cluster) -> str:
     """The place of a cluster in words: ``joint_2 between 0.31 and 0.52``."""
-    if group.coordinate == MEASURED:
+    if group.coordinate == MEASURED_COORDINATE:
         return "where the same is measured"
     if group.coordinate == "row":
         return f"rows {group.low + 1:.0f} to {group.high + 1:.0f} of those used"

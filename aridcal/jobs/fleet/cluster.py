@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from aridcal.jobs.fleet.in_process import Broken, Engine, EngineGone, in_words
+from aridcal.jobs.fleet.local_engine import Engine, EngineGone, WorkFailure, in_words
 from aridcal.system.errors import AridcalError
 from aridcal.system.progress import Progress
 
@@ -144,7 +144,7 @@ def _engine(client: Client, progress: Progress) -> Engine:
     """The engine of a connection."""
     from distributed import KilledWorker, as_completed
 
-    def engine(work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | Broken]]:
+    def engine(work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | WorkFailure]]:
         waiting = dict(tasks)
         again: set[str] = set()
         while waiting:
@@ -173,11 +173,11 @@ def _engine(client: Client, progress: Progress) -> Engine:
     return engine
 
 
-def _broken(problem: BaseException) -> Broken:
+def _broken(problem: BaseException) -> WorkFailure:
     """What is said of a task that Dask gave up."""
     from distributed import KilledWorker
 
     if isinstance(problem, KilledWorker):
         times = problem.allowed_failures + 1
-        return Broken(f"{times} workers died at it, the last one on {problem.last_worker.address}")
-    return Broken(in_words(problem))
+        return WorkFailure(f"{times} workers died at it, the last one on {problem.last_worker.address}")
+    return WorkFailure(in_words(problem))

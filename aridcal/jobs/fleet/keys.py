@@ -16,7 +16,7 @@ from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.head1992.head_settings import HeadSettings, load_shots
 from aridcal.system.errors import AridcalError
 
-ABSENT = b"absent"
+ABSENT_FILE = b"absent"
 """Stands for the contents of a file that is not there: once it is, the key is another."""
 
 
@@ -48,10 +48,10 @@ def inputs_of(campaign: Campaign) -> Inputs:
         whole.update(f"\n{place} ".encode())
         whole.update(_of_file(path))
     inputs = whole.hexdigest()
-    return Inputs(of_version(inputs), inputs, _of_file(campaign.robot.urdf).hex())
+    return Inputs(key_of_version(inputs), inputs, _of_file(campaign.robot.urdf).hex())
 
 
-def of_version(inputs: str) -> str:
+def key_of_version(inputs: str) -> str:
     """The key of inputs, read by this version."""
     return hashlib.sha256(f"{inputs} {__version__}".encode()).hexdigest()
 
@@ -59,7 +59,7 @@ def of_version(inputs: str) -> str:
 def inputs_of_text(path: Path) -> Inputs:
     """The same of a campaign that cannot be read: of its own contents alone."""
     inputs = _of_file(path).hex()
-    return Inputs(of_version(inputs), inputs, "")
+    return Inputs(key_of_version(inputs), inputs, "")
 
 
 def files_of(campaign: Campaign) -> Iterator[tuple[str, Path]]:
@@ -101,11 +101,11 @@ def _of_text(text: str) -> bytes:
 
 
 def _of_file(path: Path) -> bytes:
-    """Hash of a file's contents; that of :data:`ABSENT` where it cannot be read or is no file."""
+    """Hash of a file's contents; that of :data:`ABSENT_FILE` where it cannot be read or is no file."""
     try:
         if not path.is_file():  # of a pipe or a device nothing would ever come
-            return hashlib.sha256(ABSENT).digest()
+            return hashlib.sha256(ABSENT_FILE).digest()
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").digest()
     except (OSError, ValueError):
-        return hashlib.sha256(ABSENT).digest()
+        return hashlib.sha256(ABSENT_FILE).digest()

@@ -11,7 +11,7 @@ from pathlib import Path
 from aridcal.system.errors import CampaignError
 from aridcal.system.reading.user_names import check_name, check_path
 
-TAKEN = frozenset({"fleet.parquet", "fleet.html"})
+RESERVED_NAMES_OF_FLEET = frozenset({"fleet.parquet", "fleet.html"})
 """Names in the fleet's folder that no robot can have."""
 
 
@@ -68,7 +68,7 @@ def _check(name: str, paths: Sequence[Path], out: Path) -> None:
             "of its campaign: rename one of the folders, or name the campaigns that are meant"
         )
     check_name(name, str(paths[0]), CampaignError)
-    if name in TAKEN or not name or name.startswith("."):
+    if name in RESERVED_NAMES_OF_FLEET or not name or name.startswith("."):
         raise CampaignError(f"{paths[0]}: a robot cannot be called {name!r}; rename the folder of its campaign")
     if (out / name).resolve() == paths[0].parent.resolve():
         raise CampaignError(f"{out}: the results of {name} would stand among its inputs; choose another folder with -o")

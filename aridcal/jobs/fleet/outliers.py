@@ -37,7 +37,7 @@ DRAWS_BEYOND = 20
 
 
 @dataclass(frozen=True)
-class StandsOut:
+class OutlyingFigure:
     """A number of a robot that is far from the others'.
 
     Attributes:
@@ -73,7 +73,7 @@ class _Number:
     logarithmic: bool
 
 
-def standing_out(rows: Sequence[Row]) -> tuple[list[StandsOut], int]:
+def outlying_robots(rows: Sequence[Row]) -> tuple[list[OutlyingFigure], int]:
     """Robots that stand out, the farthest first.
 
     Args:
@@ -126,7 +126,7 @@ def _number(
         yield _Number(what, unit, robots, values[present], own_std, std is None)
 
 
-def _beyond(number: _Number, chance: float) -> Iterator[StandsOut]:
+def _beyond(number: _Number, chance: float) -> Iterator[OutlyingFigure]:
     """Robots that stand out by one number."""
     usual = float(np.median(number.values))
     scatter = TO_SIGMA * float(np.median(np.abs(number.values - usual)))
@@ -138,7 +138,9 @@ def _beyond(number: _Number, chance: float) -> Iterator[StandsOut]:
         value, middle = float(number.values[k]), usual
         if number.logarithmic:
             value, middle = float(np.exp(value)), float(np.exp(middle))
-        yield StandsOut(number.robots[k], number.what, value, middle, scatter, number.unit, float(times[k]), threshold)
+        yield OutlyingFigure(
+            number.robots[k], number.what, value, middle, scatter, number.unit, float(times[k]), threshold
+        )
 
 
 @functools.lru_cache(maxsize=256)

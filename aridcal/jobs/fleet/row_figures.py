@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from aridcal.engine.corrections.effect import FRAMES
+from aridcal.engine.corrections.effect import MOUNTING_FRAMES
 from aridcal.jobs.fleet.run_record import DONE, Row
 
 STAGES = ("nominal", "geometric", "final")
@@ -29,7 +29,7 @@ def identified(row: Row) -> dict[str, Mapping[str, object]]:
     return {
         c["name"]: c
         for c in row["constants"]
-        if c["status"] == "identified" and c["std"] is not None and not c["name"].startswith(FRAMES)
+        if c["status"] == "identified" and c["std"] is not None and not c["name"].startswith(MOUNTING_FRAMES)
     }
 
 

@@ -23,11 +23,11 @@ from aridcal.system.reading.regular_files import RESULT, read_file
 
 DONE, FAILED = "done", "failed"
 
-FILE = "fleet.json"
+RUN_FILE = "fleet.json"
 """A robot's row in its result folder."""
 
 Row = dict[str, Any]
-"""A run by the columns of its table, :data:`SCHEMA` or that of a study; times as text, ISO 8601 in UTC."""
+"""A run by the columns of its table, :data:`RUN_SCHEMA` or that of a study; times as text, ISO 8601 in UTC."""
 
 _STAGE = pa.struct(
     [("stage", pa.string()), ("channel", pa.string()), ("rows", pa.int64())]
@@ -47,7 +47,7 @@ _CONSTANT = pa.struct(
 
 _TIME = pa.timestamp("ms", tz="UTC")
 
-SCHEMA = pa.schema(
+RUN_SCHEMA = pa.schema(
     [(name, pa.string()) for name in ("robot", "campaign", "key", "inputs", "urdf")]
     + [("time", _TIME), ("measured", _TIME)]
     + [(name, pa.string()) for name in ("version", "status", "error")]
@@ -63,7 +63,7 @@ def now() -> datetime.datetime:
     return time.replace(microsecond=time.microsecond // 1000 * 1000)
 
 
-def measured_at(campaign: Campaign | None, run: datetime.datetime) -> datetime.datetime:
+def measurement_time(campaign: Campaign | None, run: datetime.datetime) -> datetime.datetime:
     """When the rows were measured, as far as the campaign says so in digits; else when they were computed."""
     stated = campaign.about.date if campaign is not None and campaign.about is not None else None
     try:
@@ -117,7 +117,7 @@ def _row(robot: str, path: Path, inputs: Inputs, campaign: Campaign | None) -> R
         "inputs": inputs.inputs,
         "urdf": inputs.urdf,
         "time": time.isoformat(),
-        "measured": measured_at(campaign, time).isoformat(),
+        "measured": measurement_time(campaign, time).isoformat(),
         "version": __version__,
         "status": DONE,
         "error": None,
@@ -181,16 +181,16 @@ def as_text(row: Row) -> str:
     return json.dumps(row, indent=1, allow_nan=False) + "\n"
 
 
-def row_in(folder: Path) -> Row | None:
+def row_of_folder(folder: Path) -> Row | None:
     """The row of a result folder; None where there is none that can be read, or no result beside it."""
-    if not all((folder / name).is_file() for name in ("result.json", "calibration.yaml", FILE)):
+    if not all((folder / name).is_file() for name in ("result.json", "calibration.yaml", RUN_FILE)):
         return None
     try:
-        row = json.loads(read_file(folder / FILE, AridcalError, RESULT))
-        pa.Table.from_pylist([typed(row)], SCHEMA)
+        row = json.loads(read_file(folder / RUN_FILE, AridcalError, RESULT))
+        pa.Table.from_pylist([typed(row)], RUN_SCHEMA)
     except (AridcalError, OSError, ValueError, TypeError, KeyError, AttributeError, pa.ArrowException):
         return None
-    return row if set(row) == set(SCHEMA.names) else None
+    return row if set(row) == set(RUN_SCHEMA.names) else None
 
 
 def typed(row: Row) -> Row:

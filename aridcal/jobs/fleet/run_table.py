@@ -8,11 +8,11 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet
 
-from aridcal.jobs.fleet.run_record import DONE, SCHEMA, Row, plain, typed
+from aridcal.jobs.fleet.run_record import DONE, RUN_SCHEMA, Row, plain, typed
 from aridcal.system.errors import OutputError
 from aridcal.system.writing.whole_files import atomic_file
 
-NAME = "fleet.parquet"
+FLEET_TABLE = "fleet.parquet"
 
 
 def read_rows(folder: Path) -> list[Row]:
@@ -24,14 +24,14 @@ def read_rows(folder: Path) -> list[Row]:
     Raises:
         OutputError: what is there is no such table, and would be lost if it were written anew.
     """
-    path = folder / NAME
+    path = folder / FLEET_TABLE
     if not path.exists():
         return []
     try:
         table = pa.parquet.read_table(path)
-        if set(SCHEMA.names) - set(table.column_names):
+        if set(RUN_SCHEMA.names) - set(table.column_names):
             raise ValueError("it lacks columns")
-        return [plain(row) for row in table.select(SCHEMA.names).cast(SCHEMA).to_pylist()]
+        return [plain(row) for row in table.select(RUN_SCHEMA.names).cast(RUN_SCHEMA).to_pylist()]
     except (OSError, ValueError, pa.ArrowException) as problem:
         raise OutputError(
             f"{path}: is no table of this fleet ({str(problem).splitlines()[0]}); move it away, or choose another folder"
@@ -53,8 +53,8 @@ def merged(rows: Iterable[Row], new: Iterable[Row]) -> list[Row]:
 
 def write_rows(rows: Iterable[Row], folder: Path) -> None:
     """Write a fleet's table in one step."""
-    table = pa.Table.from_pylist([typed(row) for row in rows], SCHEMA)
-    with atomic_file(folder / NAME) as path:
+    table = pa.Table.from_pylist([typed(row) for row in rows], RUN_SCHEMA)
+    with atomic_file(folder / FLEET_TABLE) as path:
         pa.parquet.write_table(table, path, compression="snappy")
 
 

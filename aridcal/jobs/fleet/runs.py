@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from aridcal.jobs.fleet.in_process import Broken, Engine, EngineGone
 from aridcal.jobs.fleet.keys import Inputs
+from aridcal.jobs.fleet.local_engine import Engine, EngineGone, WorkFailure
 from aridcal.jobs.fleet.members import Member
-from aridcal.jobs.fleet.run_record import DONE, FAILED, Row, failed_row, row_in
+from aridcal.jobs.fleet.run_record import DONE, FAILED, Row, failed_row, row_of_folder
 from aridcal.jobs.fleet.run_table import latest, merged, read_rows, write_rows
 from aridcal.jobs.fleet.work import Task, Write, calibrated, inputs_at
 from aridcal.system.errors import shortened
@@ -63,7 +63,7 @@ class FleetPlan:
     inputs: dict[str, Inputs]
 
 
-def planned(fleet: Sequence[Member], out: Path, write: Write, progress: Progress) -> FleetPlan:
+def plan_runs(fleet: Sequence[Member], out: Path, write: Write, progress: Progress) -> FleetPlan:
     """Find the robots whose folder does not hold their result.
 
     Args:
@@ -84,7 +84,7 @@ def planned(fleet: Sequence[Member], out: Path, write: Write, progress: Progress
         folder = out.absolute() / member.name
         inputs, campaign, reason = inputs_at(member.campaign)
         inputs_of_robot[member.name] = inputs
-        row = row_in(folder)
+        row = row_of_folder(folder)
         if campaign is None:
             rows_known[member.name] = failed_row(member.name, member.campaign, inputs, reason, 0.0, None)
         elif row is not None and row["key"] == inputs.key:
@@ -116,7 +116,7 @@ def computed(plan: FleetPlan, engine: Engine, progress: Progress) -> FleetResult
     try:
         for name, answer in engine(calibrated, plan.tasks):
             robot, campaign = plan.tasks[name].robot, Path(plan.tasks[name].campaign)
-            if isinstance(answer, Broken):
+            if isinstance(answer, WorkFailure):
                 answer = failed_row(robot, campaign, plan.inputs[robot], answer.why, 0.0, None)
             results[robot] = answer
             rows = merged(rows, [answer])
@@ -147,7 +147,7 @@ def task_name(robot: str, folder: Path, key: str) -> str:
 def _rows_in_folders(out: Path) -> list[Row]:
     """Rows of all result folders in a fleet's: a run that was killed has not brought them into the table."""
     folders = sorted(path for path in out.iterdir() if path.is_dir()) if out.is_dir() else []
-    return [row for row in map(row_in, folders) if row is not None]
+    return [row for row in map(row_of_folder, folders) if row is not None]
 
 
 class _Report:

@@ -10,16 +10,16 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import binom
 
-from aridcal.engine.corrections.effect import FRAMES
+from aridcal.engine.corrections.effect import MOUNTING_FRAMES
 from aridcal.jobs.fleet.run_record import DONE, Row
 
-CONFIDENCE = 0.95
+INTERVAL_CONFIDENCE = 0.95
 """Of all intervals of a study."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure and its interval of :data:`CONFIDENCE`."""
+    """A figure and its interval of :data:`INTERVAL_CONFIDENCE`."""
 
     value: float
     low: float
@@ -27,7 +27,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Point:
+class CaseFigures:
     """One case of a study.
 
     Attributes:
@@ -35,7 +35,7 @@ class Point:
         size: Of the effect; None where that is not varied.
         runs: Done.
         failed: Runs that came to nothing.
-        found: Share of runs that find the effect, by name or among those that are confounded with what they name.
+        finding_share: Share of runs that find the effect, by name or among those that are confounded with what they name.
         named: Share of runs that name it first.
         others: Share of runs that accept some effect that is not there.
         final: Median error of the final model, in the unit of its channel.
@@ -46,7 +46,7 @@ class Point:
     size: float | None
     runs: int
     failed: int
-    found: Estimate | None
+    finding_share: Estimate | None
     named: Estimate | None
     others: Estimate
     final: Estimate
@@ -54,7 +54,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ConstantScatter:
     """A constant over the runs of a case.
 
     Attributes:
@@ -83,7 +83,7 @@ def share(times: int, of: int) -> Estimate:
         times: How often.
         of: Of how many, not 0.
     """
-    z = float(ndtri(0.5 + 0.5 * CONFIDENCE))
+    z = float(ndtri(0.5 + 0.5 * INTERVAL_CONFIDENCE))
     p, shrink = times / of, 1.0 + z**2 / of
     middle = (p + z**2 / (2 * of)) / shrink
     half = z / shrink * math.sqrt(p * (1 - p) / of + z**2 / (4 * of**2))
@@ -97,11 +97,11 @@ def median(values: Sequence[float]) -> Estimate:
     """
     ordered = np.sort(values)
     n = len(ordered)
-    below = max(int(binom.ppf(0.5 - 0.5 * CONFIDENCE, n, 0.5)) - 1, 0)
+    below = max(int(binom.ppf(0.5 - 0.5 * INTERVAL_CONFIDENCE, n, 0.5)) - 1, 0)
     return Estimate(float(np.median(ordered)), float(ordered[below]), float(ordered[n - 1 - below]))
 
 
-def points(rows: Sequence[Row]) -> list[Point]:
+def points(rows: Sequence[Row]) -> list[CaseFigures]:
     """Cases of a study by size, then by number of rows."""
     cases: dict[tuple[float, float], list[Row]] = {}
     for row in rows:
@@ -110,7 +110,7 @@ def points(rows: Sequence[Row]) -> list[Point]:
     return [point for place in sorted(cases) if (point := _point(cases[place])) is not None]
 
 
-def _point(rows: Sequence[Row]) -> Point | None:
+def _point(rows: Sequence[Row]) -> CaseFigures | None:
     """One case; None if no run of it came to anything."""
     done = [row for row in rows if row["status"] == DONE]
     if not done:
@@ -118,12 +118,12 @@ def _point(rows: Sequence[Row]) -> Point | None:
     true = [row["true_rms_mm"] for row in done if row["true_rms_mm"] is not None]
     final = [row["final"] for row in done if row["final"] is not None]
     sought = done[0]["found"] is not None
-    return Point(
+    return CaseFigures(
         rows=done[0]["rows"],
         size=done[0]["size"],
         runs=len(done),
         failed=len(rows) - len(done),
-        found=share(sum(row["found"] for row in done), len(done)) if sought else None,
+        finding_share=share(sum(row["found"] for row in done), len(done)) if sought else None,
         named=share(sum(row["named"] for row in done), len(done)) if sought else None,
         others=share(sum(row["others"] > 0 for row in done), len(done)),
         final=median(final) if final else Estimate(math.nan, math.nan, math.nan),
@@ -131,7 +131,7 @@ def _point(rows: Sequence[Row]) -> Point | None:
     )
 
 
-def found_again(rows: Sequence[Row]) -> list[tuple[str, Estimate]]:
+def recurrent_effects(rows: Sequence[Row]) -> list[tuple[str, Estimate]]:
     """Each effect that some run found, and the share of runs that did, most first."""
     done = [row for row in rows if row["status"] == DONE]
     count: dict[str, int] = {}
@@ -142,7 +142,7 @@ def found_again(rows: Sequence[Row]) -> list[tuple[str, Estimate]]:
     return [(label, share(times, len(done))) for label, times in ordered]
 
 
-def scatters(rows: Sequence[Row]) -> list[Scatter]:
+def scatters(rows: Sequence[Row]) -> list[ConstantScatter]:
     """How far each constant of the arm scatters over the runs, beside what they state, the most understated first.
 
     The interval of a standard deviation is that of normal values with so many degrees of freedom, by Wilson and Hilferty (1931,
@@ -151,17 +151,19 @@ def scatters(rows: Sequence[Row]) -> list[Scatter]:
     values: dict[str, list[Row]] = {}
     for row in rows:
         for constant in row["constants"] or () if row["status"] == DONE else ():
-            if constant["name"].startswith(FRAMES):  # stated as twists in their own axes, which xyz and rpy are not
+            if constant["name"].startswith(
+                MOUNTING_FRAMES
+            ):  # stated as twists in their own axes, which xyz and rpy are not
                 continue
             values.setdefault(constant["name"], []).append(constant)
     found = [_scatter(name, own) for name, own in values.items() if len(own) > 1]
     return sorted(found, key=lambda s: -s.scatter / s.std if s.std > 0 else -math.inf)
 
 
-def _scatter(name: str, own: Sequence[Row]) -> Scatter:
+def _scatter(name: str, own: Sequence[Row]) -> ConstantScatter:
     freedom = len(own) - 1
     spread = float(np.std([c["value"] for c in own], ddof=1))
-    z, v = float(ndtri(0.5 + 0.5 * CONFIDENCE)), 2.0 / (9.0 * freedom)
+    z, v = float(ndtri(0.5 + 0.5 * INTERVAL_CONFIDENCE)), 2.0 / (9.0 * freedom)
     low, high = (spread / max(1.0 - v + s * z * math.sqrt(v), 1e-3) ** 1.5 for s in (1.0, -1.0))
     std = float(np.sqrt(np.mean([c["std"] ** 2 for c in own])))
-    return Scatter(name, own[0]["unit"], len(own), spread, low, high, std)
+    return ConstantScatter(name, own[0]["unit"], len(own), spread, low, high, std)

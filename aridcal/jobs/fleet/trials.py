@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.files.campaign import Campaign, Job
+from aridcal.files.campaign import Campaign, JobSettings
 from aridcal.files.purposes import StudySettings
-from aridcal.files.quantities import POSITION, column_of
+from aridcal.files.quantities import POSITION_COLUMNS, column_of
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.folder import parameters
 from aridcal.jobs.calibrate.key_figures import scored
 from aridcal.jobs.calibrate.outcome import Outcome, errors
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.jobs.fleet.keys import inputs_of, of_version
+from aridcal.jobs.fleet.keys import inputs_of, key_of_version
 from aridcal.jobs.fleet.run_record import DONE, FAILED, Row
 from aridcal.jobs.simulate.scenario import Scenario, TrueNoise, Truth
 from aridcal.jobs.simulate.simulation import Simulation, simulate
@@ -105,13 +105,13 @@ def _check(job: Scenario | Campaign, study: StudySettings) -> None:
     if study.effect and not study.sizes:
         raise CampaignError(f"{job.path}: study.effect: says which effect `sizes` are of; add them, or delete it")
     if study.sizes:
-        varied(job, study)
+        varied_effect(job, study)
     simulate(
         _with(job, job.truth.model_copy(update={"n": min(study.rows or (job.truth.n,))}))
     )  # refused here, not in each run
 
 
-def varied(scenario: Scenario, study: StudySettings) -> int:
+def varied_effect(scenario: Scenario, study: StudySettings) -> int:
     """Index of the true effect whose size is varied.
 
     Raises:
@@ -133,12 +133,12 @@ def varied(scenario: Scenario, study: StudySettings) -> int:
     return names.index(study.effect)
 
 
-def sought(job: Scenario | Campaign) -> str:
+def search_in_words(job: Scenario | Campaign) -> str:
     """Effects that the runs of a study look for, in words; empty where there are none."""
     if not isinstance(job, Scenario) or not job.truth.effects:
         return ""
     study = job.study or StudySettings()
-    effects = [job.truth.effects[varied(job, study)]] if study.sizes else job.truth.effects
+    effects = [job.truth.effects[varied_effect(job, study)]] if study.sizes else job.truth.effects
     return " and ".join(f"{effect.kind} at {effect.where}" for effect in effects)
 
 
@@ -154,7 +154,7 @@ def trials(job: Scenario | Campaign) -> dict[str, Trial]:
     by_key: dict[str, Trial] = {}
     for run, seed in enumerate(_seeds(study)):
         for case in cases:
-            key = of_version(hashlib.sha256(f"{inputs} {case} {seed}".encode()).hexdigest())
+            key = key_of_version(hashlib.sha256(f"{inputs} {case} {seed}".encode()).hexdigest())
             by_key[key] = Trial(str(job.path.absolute()), case, run, seed, key)
     return by_key
 
@@ -174,13 +174,13 @@ def _inputs(job: Scenario | Campaign) -> str:
 
 def _campaign(scenario: Scenario, text: str = "") -> Campaign:
     """The campaign in a scenario, without its tables."""
-    keys = {name: getattr(scenario, name) for name in Job.model_fields if name != "study"}
+    keys = {name: getattr(scenario, name) for name in JobSettings.model_fields if name != "study"}
     campaign = Campaign.model_construct().model_copy(update=keys)
     campaign._path, campaign._text = scenario.path, text
     return campaign
 
 
-def tried(trial: Trial) -> Row:
+def run_trial(trial: Trial) -> Row:
     """Do one run."""
     started = time.perf_counter()
     row: Row = {
@@ -205,7 +205,7 @@ def _simulated(scenario: Scenario, trial: Trial) -> Row:
     effects = list(scenario.truth.effects)
     looked_for = effects
     if not math.isnan(trial.case.size):
-        k = varied(scenario, study)
+        k = varied_effect(scenario, study)
         effects[k] = _scaled(effects[k], trial.case.size)
         looked_for = [effects[k]]
     changes = {"n": trial.case.rows, "seed": trial.seed, "effects": tuple(effects)}
@@ -243,17 +243,17 @@ def _true_error(scenario: Scenario, truth: Truth, outcome: Outcome) -> float | N
 
 def _positions(simulation: Simulation, scenario: Scenario) -> np.ndarray:
     """Positions in a simulated table, shape (N, 3), [m]."""
-    names = [column_of(name, scenario.measurements, simulation.robot.readings) for name in POSITION]
+    names = [column_of(name, scenario.measurements, simulation.robot.readings) for name in POSITION_COLUMNS]
     return simulation.measurements[names].to_numpy(dtype=float)
 
 
 def _from_half(campaign: Campaign, trial: Trial) -> Row:
     """Calibrate from a random half of the configurations that are fitted; all held-out rows judge."""
-    outcome = identify(campaign, choose=half(trial.seed))
+    outcome = identify(campaign, choose=half_of_rows(trial.seed))
     return _figures(outcome) | {"true_rms_mm": None} | _effects_found(outcome, (), ())
 
 
-def half(seed: int) -> Callable[[Dataset], Dataset]:
+def half_of_rows(seed: int) -> Callable[[Dataset], Dataset]:
     """Choose half of the training rows, without replacement, rows that repeat a configuration together.
 
     A mean over half of n independent rows drawn without replacement scatters about that of all of them with variance s^2 / n,

@@ -15,7 +15,7 @@ from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.fleet.keys import Inputs, inputs_of, inputs_of_text
-from aridcal.jobs.fleet.run_record import FILE, Row, as_text, done_row, failed_row, row_in
+from aridcal.jobs.fleet.run_record import RUN_FILE, Row, as_text, done_row, failed_row, row_of_folder
 from aridcal.jobs.head1992.observations import CACHE
 from aridcal.jobs.prepare.other_readings import refuse_misread
 from aridcal.system.errors import AridcalError, BusyError, MeasurementError
@@ -107,7 +107,7 @@ def _calibrated(task: Task) -> Row:
                 break
             except BusyError:
                 time.sleep(LOOK_AGAIN)
-        done = row_in(out)
+        done = row_of_folder(out)
         if done is not None and done["key"] == task.key:
             return done
         inputs, campaign, why = inputs_at(path)
@@ -117,7 +117,7 @@ def _calibrated(task: Task) -> Row:
         outcome = identify(campaign, cache=out / CACHE, judge=refuse_misread)
         row = done_row(task.robot, outcome, inputs)
         _check(inputs_at(path)[0], task)
-        task.write(outcome, out, beside={FILE: as_text(row)})
+        task.write(outcome, out, beside={RUN_FILE: as_text(row)})
         return row
 
 

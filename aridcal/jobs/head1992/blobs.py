@@ -14,7 +14,7 @@ import numpy as np
 
 from aridcal.engine.instruments.camera import DOTY_OPENCV, on_plane, project
 from aridcal.jobs.head1992.sonar import Plane
-from aridcal.jobs.head1992.square import CENTRE_FIDUCIAL, INCH, SIZES
+from aridcal.jobs.head1992.square import CENTRE_FIDUCIAL, FIDUCIAL_SIZES, INCH
 
 # Of a perimeter fiducial and of a centre one, [m²].
 SMALL_AREA, CENTRE_AREA = INCH**2 / 16, INCH**2 / 8
@@ -49,7 +49,7 @@ WIDEST_MARK = 1.5
 NOISE_PER_MEDIAN = 0.95
 
 # [px²] of an outline that is a mere line: about that of a pixel, 1 / 12.
-LEAST_VARIANCE = 0.1
+LEAST_BLOB_VARIANCE = 0.1
 
 # [grey levels] from which a place may be bright for any reason.
 WASHED_OUT_GREY = 250
@@ -125,7 +125,7 @@ def _hat(smoothed: np.ndarray, dark: bool, scale: float) -> tuple[np.ndarray, np
     Morphology's black hat (closing minus image) for dark marks, its white hat (image minus opening) for bright ones, with a
     square window (Serra, "Image Analysis and Mathematical Morphology", 1982).
     """
-    width = int(WIDEST_MARK * SIZES[CENTRE_FIDUCIAL - 1, 0] * scale) | 1  # odd
+    width = int(WIDEST_MARK * FIDUCIAL_SIZES[CENTRE_FIDUCIAL - 1, 0] * scale) | 1  # odd
     row = np.ones((width, 1), np.uint8)
 
     def wide(f: Callable[[np.ndarray, np.ndarray], np.ndarray], image: np.ndarray) -> np.ndarray:
@@ -192,7 +192,7 @@ def _rectangles(outlines: list[np.ndarray]) -> _Rectangles:
     pixels = np.column_stack([m10, m01]) / m00[:, None]
     spreads = np.moveaxis(np.array([[mu20, mu11], [mu11, mu02]]), 2, 0)
     variances, axes = np.linalg.eigh(spreads / m00[:, None, None])
-    short, long = np.sqrt(12 * np.maximum(variances, LEAST_VARIANCE)).T + 1
+    short, long = np.sqrt(12 * np.maximum(variances, LEAST_BLOB_VARIANCE)).T + 1
     return _Rectangles(pixels, area, short, long, axes[:, :, 1])
 
 
@@ -252,7 +252,7 @@ def _spots(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read the grey levels on and around places (K,) on the plane: (K, SPOT_POINTS²), and which lie wholly in view, (K,)."""
     right, up, axis = _plane_axes(plane)
-    side = np.linspace(-SPOT_REACH, SPOT_REACH, SPOT_POINTS) * SIZES[0, 0]
+    side = np.linspace(-SPOT_REACH, SPOT_REACH, SPOT_POINTS) * FIDUCIAL_SIZES[0, 0]
     spot = (side[:, None] + 1j * side).ravel()
     grid = places[:, None] + turn * spot
     to_right, to_up = grid.real[..., None], grid.imag[..., None]

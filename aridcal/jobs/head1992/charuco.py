@@ -13,7 +13,7 @@ import numpy as np
 from aridcal.engine.instruments.camera import rays
 from aridcal.jobs.head1992.fiducials import Fiducials
 from aridcal.jobs.head1992.matching import NotMeasured, spans_plane
-from aridcal.jobs.head1992.square import Layout
+from aridcal.jobs.head1992.square import FiducialLayout
 from aridcal.jobs.head1992.square_pose import NO_SONARS, fit_pose
 from aridcal.system.errors import CampaignError, nearest
 
@@ -99,7 +99,7 @@ def find_charuco(image: np.ndarray, board: Board, index: int, intrinsics: np.nda
     covariances = np.tile(FIRST_STD**2 * np.eye(2), (len(ids), 1, 1))
     pose = fit_pose(points, pixels, covariances, NO_SONARS, intrinsics, T)
     x_and_y = np.eye(3)[:2]
-    layout = Layout(
+    layout = FiducialLayout(
         square=np.full(len(ids), index),
         fiducial=ids,
         centres=points,

@@ -29,10 +29,10 @@ from aridcal.jobs.head1992.charuco import corner_places
 from aridcal.jobs.head1992.fiducials import Fiducials
 from aridcal.jobs.head1992.head_settings import HeadSettings, range_columns
 from aridcal.jobs.head1992.matching import NotMeasured, spans_plane
-from aridcal.jobs.head1992.observations import Detections, Read
+from aridcal.jobs.head1992.observations import CampaignRows, Detections
 from aridcal.jobs.head1992.shot_rows import check_pose, head_of, start_anywhere
 from aridcal.jobs.head1992.shots import Shot, board, image_content, load, measure_shots, read_ranges
-from aridcal.jobs.head1992.square import CENTRES
+from aridcal.jobs.head1992.square import FIDUCIAL_CENTRES
 from aridcal.system.errors import AridcalError, MeasurementError
 from aridcal.system.progress import Progress
 
@@ -41,7 +41,7 @@ NUMBER_COLUMNS = ("u", "v", "std_u", "std_v")
 CACHE_COLUMNS = (*INDEX_COLUMNS, *NUMBER_COLUMNS, "digest")
 
 # Of a pixel: far below any noise, and the same from a cache as from images.
-DECIMALS = 5
+CACHE_DECIMALS = 5
 
 # Hexadecimal digits: 64 bits, so that a change goes unnoticed once in 10^19 times.
 DIGEST_LENGTH = 16
@@ -57,7 +57,7 @@ def read_shots(
     seed: int,
     progress: Progress,
     lens: np.ndarray | None = None,
-) -> Read:
+) -> CampaignRows:
     """Read the shots of a campaign; images only where the cache does not know them, or where fiducials are looked for again.
 
     Args:
@@ -104,7 +104,7 @@ def read_shots(
     images = sum(cache_lines.lines(line) is None for line in fiducials_of)
     camera = settings.camera
     size = camera.width, camera.height
-    return Read(
+    return CampaignRows(
         campaign,
         rows,
         Detections(fiducials, settings.tip_camera.homogeneous, camera.intrinsics, size, images),
@@ -214,7 +214,7 @@ def _lines(shot: int, fiducials: Fiducials) -> pd.DataFrame:
     Of a centre's covariance the standard deviations along u and v are kept.
     """
     sigma = np.sqrt(np.diagonal(fiducials.covariances, axis1=1, axis2=2))
-    numbers = np.round(np.hstack([fiducials.pixels, sigma]), DECIMALS)
+    numbers = np.round(np.hstack([fiducials.pixels, sigma]), CACHE_DECIMALS)
     lines = pd.DataFrame(numbers, columns=list(NUMBER_COLUMNS))
     lines.insert(0, "shot", shot)
     lines.insert(1, "square", fiducials.layout.square)
@@ -286,4 +286,4 @@ def _places(lines: pd.DataFrame, index: int, settings: HeadSettings, squares: Ma
     T_own_world = np.linalg.inv(squares[index])
     T_own_square = np.array([T_own_world @ squares[int(k)] for k in lines["square"]])
     xy_axes, origin = T_own_square[:, :3, :2], T_own_square[:, :3, 3]
-    return np.asarray(np.einsum("nij,nj->ni", xy_axes, CENTRES[number - 1]) + origin)
+    return np.asarray(np.einsum("nij,nj->ni", xy_axes, FIDUCIAL_CENTRES[number - 1]) + origin)

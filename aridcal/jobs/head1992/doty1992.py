@@ -17,19 +17,19 @@ from typing import NamedTuple
 import numpy as np
 
 from aridcal.engine.robot.chain import Robot
-from aridcal.engine.robot.doty import COMPONENTS, doty_links, link_transform
+from aridcal.engine.robot.doty import DOTY_COMPONENTS, doty_links, link_transform
 from aridcal.system.errors import NotIdentifiable
 
 FRAME = ("x", "y", "z", "roll", "pitch", "yaw")
-JOINTS = ("joint_1", "joint_2", "joint_3", "joint_4")
-KINDS = ("prismatic", "revolute", "revolute", "revolute")
+DOTY_JOINTS = ("joint_1", "joint_2", "joint_3", "joint_4")
+JOINT_KINDS = ("prismatic", "revolute", "revolute", "revolute")
 
-PSI = tuple(f"{joint}.{component}" for component in ("beta", "alpha") for joint in JOINTS)
+PSI = tuple(f"{joint}.{component}" for component in ("beta", "alpha") for joint in DOTY_JOINTS)
 """The unknowns of equation (3-12), in its order: beta_1..beta_4, alpha_1..alpha_4."""
 
 PARAMETERS = (
     *(f"world_base.{c}" for c in FRAME),
-    *(f"{joint}.{c}" for joint in JOINTS for c in COMPONENTS),
+    *(f"{joint}.{c}" for joint in DOTY_JOINTS for c in DOTY_COMPONENTS),
     *(f"tip_target.{c}" for c in FRAME),
 )
 """The columns of :func:`jacobian`: base, links, tool."""
@@ -40,7 +40,7 @@ ORBITER_TO_BASE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
 D, THETA, BETA, A, ALPHA = range(5)
 """Columns of a links array."""
 
-DEPENDENT = 1e-9
+DEPENDENT_SINGULAR_SHARE = 1e-9
 """Smallest singular value, as a share of the largest, of a matrix whose columns are independent: poses that differ by a
 billionth of the workspace say nothing apart."""
 
@@ -206,7 +206,7 @@ def pose(links: np.ndarray, q: np.ndarray) -> np.ndarray:
         Shape (N, 4, 4).
     """
     sums = _with_readings(links, q)
-    L = link_transform(**{c: sums[..., k] for k, c in enumerate(COMPONENTS)})
+    L = link_transform(**{c: sums[..., k] for k, c in enumerate(DOTY_COMPONENTS)})
     return L[:, 0] @ L[:, 1] @ L[:, 2] @ L[:, 3]
 
 
@@ -227,10 +227,10 @@ def jacobian(links: np.ndarray, q: np.ndarray, tip: np.ndarray | None = None) ->
     """
     sums = _with_readings(links, q)
     T = np.broadcast_to(np.eye(4), (len(q), 4, 4))
-    nil = dict.fromkeys(COMPONENTS, 0.0)
+    nil = dict.fromkeys(DOTY_COMPONENTS, 0.0)
     factors = _frame_factors(T)  # of the base
-    for i in range(len(JOINTS)):
-        for k, (component, (kind, axis)) in enumerate(COMPONENTS.items()):
+    for i in range(len(DOTY_JOINTS)):
+        for k, (component, (kind, axis)) in enumerate(DOTY_COMPONENTS.items()):
             factors.append(_Factor(kind, T[:, :3, axis], T[:, :3, 3]))
             T = T @ link_transform(**(nil | {component: sums[:, i, k]}))
     T = T if tip is None else T @ tip
@@ -338,7 +338,7 @@ def link_vectors(poses: np.ndarray, q: np.ndarray, weights: np.ndarray | None = 
     turned = poses[:, 0, 0] + 1j * poses[:, 1, 0]  # x of the end frame
     turns = np.column_stack([np.ones_like(q2), np.exp(1j * q2), np.exp(1j * (q2 + q3))])
     matrix = root[:, None] * turns
-    _require_full_rank(matrix, [f"{joint}.a" for joint in JOINTS[:3]])
+    _require_full_rank(matrix, [f"{joint}.a" for joint in DOTY_JOINTS[:3]])
     vectors = np.linalg.lstsq(matrix, root * xy, rcond=None)[0]
     end = np.mean(root**2 * turned * np.exp(-1j * (q2 + q3 + q4)))
     directions = np.array([*vectors, end])
@@ -383,7 +383,7 @@ def links_from_poses(robot: Robot, poses: np.ndarray, readings: np.ndarray) -> n
 
 def is_arid(robot: Robot) -> bool:
     """A rail and three revolute joints, all parallel, frames as in Doty (1992)."""
-    if tuple(joint.kind for joint in robot.joints) != KINDS:
+    if tuple(joint.kind for joint in robot.joints) != JOINT_KINDS:
         return False
     along_z = all(np.allclose(joint.axis, [0, 0, 1]) for joint in robot.joints)
     return along_z and not robot.climbs and all(np.allclose(step.rotation, np.eye(3)) for step in robot.onward[:-1])
@@ -416,7 +416,7 @@ def _require_full_rank(matrix: np.ndarray, names: Sequence[str]) -> None:
         names: Of its columns.
     """
     _, values, directions = np.linalg.svd(np.linalg.qr(matrix, mode="r"))
-    rank = int(np.sum(values > DEPENDENT * values.max(initial=0.0)))
+    rank = int(np.sum(values > DEPENDENT_SINGULAR_SHARE * values.max(initial=0.0)))
     if rank < matrix.shape[1]:
         share = np.linalg.norm(directions[rank:], axis=0)
         raise NotIdentifiable([[name for name, part in zip(names, share, strict=True) if part > TAKES_PART]])

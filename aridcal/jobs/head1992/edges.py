@@ -28,7 +28,7 @@ OUTLINE, LIGHT, DOUBTFUL = slice(0, 4), slice(4, 7), slice(8, 12)  # the last on
 
 # Robust weights. Tukey's biweight has 95 % efficiency at 4.7 sigma and about 98 % at 6. With weights w at Gaussian noise the
 # variance is sigma² TUKEY_VARIANCE inv(J' w J), E[w] E[psi²] / E[psi']² (Huber, "Robust Statistics", 1981).
-TUKEY = 6.0
+EDGE_TUKEY = 6.0
 TUKEY_VARIANCE = 0.965
 SIGMA_PER_MAD = 1.4826  # sigma of Gaussian noise over the median of its absolute values
 GROSS_CUT = (
@@ -40,12 +40,12 @@ NOISIER_RATIO = 1.3  # times the usual noise: only then a fiducial's own is beli
 
 # Steps and their end.
 RIM_WIDTH = 1.5  # [px] to either side of an outline: its edge
-MAX_STEPS = 8
+MAX_EDGE_STEPS = 8
 STILL, MOST = 0.4, 0.75  # a fit is done when its last step was below so many sigma for most of the fiducials
 START_BLUR = 0.7  # [px] of a lens in focus
-LARGEST_STEP = 1.0  # [px] of shift and growth: the edge's slope is known no further
+LARGEST_EDGE_STEP = 1.0  # [px] of shift and growth: the edge's slope is known no further
 LARGEST_GROWTH, LARGEST_BLUR = 0.3, 0.6  # of the fiducial's half size: what goes beyond is no fiducial
-RIDGE = 1e-6  # of the diagonal: keeps the equations solvable where a fiducial shows nothing of a parameter
+EDGE_RIDGE = 1e-6  # of the diagonal: keeps the equations solvable where a fiducial shows nothing of a parameter
 
 # What is expected. Light falls on paper and fiducial alike, so that contrast changes as the paper does; glare spares it. By how
 # much the change may differ from that: a share of it, and some grey levels across half a fiducial.
@@ -127,7 +127,7 @@ def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, g
     theta = _start(pixels) if start is None else start.theta.copy()
     if start is not None:
         theta[:, SHIFT] = start.centres - shapes.centres
-    for step in range(gross_steps + MAX_STEPS):
+    for step in range(gross_steps + MAX_EDGE_STEPS):
         gross = step < gross_steps
         r, J, clipped = _residuals(pixels, shapes, theta, across)
         noise = _noise(pixels, r, clipped)
@@ -226,7 +226,7 @@ def _cut(noise: np.ndarray, level: np.ndarray, gross: bool, started: bool) -> np
     if gross:
         return GROSS_CUT[0] * level + GROSS_CUT[1]
     least = LEAST_CUT[1] if started else LEAST_CUT[0]
-    return np.maximum(TUKEY * noise, least * level + 1)
+    return np.maximum(EDGE_TUKEY * noise, least * level + 1)
 
 
 def _normal_equations(
@@ -259,9 +259,9 @@ def _add_prior(A: np.ndarray, b: np.ndarray, theta: np.ndarray, noise: np.ndarra
 
 def _solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solve A x = b of each fiducial, its diagonal brought to one: x, shape (F, 12), and A^-1, shape (F, 12, 12)."""
-    unit = np.sqrt(np.einsum("fii->fi", A)) + RIDGE
+    unit = np.sqrt(np.einsum("fii->fi", A)) + EDGE_RIDGE
     units = unit[:, :, None] * unit[:, None, :]
-    scaled = A / units + RIDGE * np.eye(N_PARAMETERS)
+    scaled = A / units + EDGE_RIDGE * np.eye(N_PARAMETERS)
     x = np.linalg.solve(scaled, (b / unit)[..., None])[..., 0] / unit
     return x, np.linalg.inv(scaled) / units
 
@@ -270,7 +270,7 @@ def _stepped(theta: np.ndarray, change: np.ndarray, reach: np.ndarray) -> tuple[
     """Take a step, not too far, and keep growth and blur where a fiducial is still one: theta and the step taken."""
     change = change.copy()
     variance = theta[:, VARIANCE]
-    change[:, :3] = np.clip(change[:, :3], -LARGEST_STEP, LARGEST_STEP)
+    change[:, :3] = np.clip(change[:, :3], -LARGEST_EDGE_STEP, LARGEST_EDGE_STEP)
     change[:, VARIANCE] = np.clip(change[:, VARIANCE], -variance / 2 - 0.05, variance / 2 + 0.2)
     theta = theta + change
     theta[:, GROWTH] = np.clip(theta[:, GROWTH], -LARGEST_GROWTH * reach, LARGEST_GROWTH * reach)

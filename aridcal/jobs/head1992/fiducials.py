@@ -17,7 +17,7 @@ from aridcal.jobs.head1992.edges import Fits, fit_outlines
 from aridcal.jobs.head1992.matching import Match, NotMeasured, match, spans_plane
 from aridcal.jobs.head1992.outlines import PIXEL_VARIANCE, predict_shapes
 from aridcal.jobs.head1992.sonar import Plane, fit_plane
-from aridcal.jobs.head1992.square import Layout
+from aridcal.jobs.head1992.square import FiducialLayout
 from aridcal.jobs.head1992.square_pose import Sonars, robust_pose, start_on_plane
 
 # [px] of a blob's centroid.
@@ -80,13 +80,13 @@ class Fiducials:
         T_camera_square: Pose that their shapes were predicted with, shape (4, 4).
     """
 
-    layout: Layout
+    layout: FiducialLayout
     pixels: np.ndarray
     covariances: np.ndarray
     T_camera_square: np.ndarray
 
 
-def find_fiducials(image: np.ndarray, layout: Layout, intrinsics: np.ndarray, sonars: Sonars) -> Fiducials:
+def find_fiducials(image: np.ndarray, layout: FiducialLayout, intrinsics: np.ndarray, sonars: Sonars) -> Fiducials:
     """Find the fiducials of the square nearest the optical axis, and of its neighbours.
 
     Args:
@@ -120,7 +120,7 @@ class _Matched:
     dark: bool
 
 
-def _identify(smoothed: np.ndarray, layout: Layout, intrinsics: np.ndarray, plane: Plane) -> _Matched:
+def _identify(smoothed: np.ndarray, layout: FiducialLayout, intrinsics: np.ndarray, plane: Plane) -> _Matched:
     """Match blobs to fiducials, black on white first, then white on black; the polarity that explains more wins.
 
     Args:
@@ -148,7 +148,9 @@ def _identify(smoothed: np.ndarray, layout: Layout, intrinsics: np.ndarray, plan
     return max(matches, key=lambda candidate: len(candidate.match.pairs))
 
 
-def _blob_pose(matched: _Matched, layout: Layout, intrinsics: np.ndarray, sonars: Sonars, plane: Plane) -> np.ndarray:
+def _blob_pose(
+    matched: _Matched, layout: FiducialLayout, intrinsics: np.ndarray, sonars: Sonars, plane: Plane
+) -> np.ndarray:
     """Measure T_camera_square, (4, 4), from the centroids of blobs: to some tenths of a pixel."""
     fiducial, blob = matched.match.pairs.T
     points, pixels = layout.centres[fiducial], matched.blobs.pixels[blob]
@@ -159,7 +161,7 @@ def _blob_pose(matched: _Matched, layout: Layout, intrinsics: np.ndarray, sonars
 
 
 def _refine(
-    image: np.ndarray, T: np.ndarray, layout: Layout, intrinsics: np.ndarray, sonars: Sonars, dark: bool
+    image: np.ndarray, T: np.ndarray, layout: FiducialLayout, intrinsics: np.ndarray, sonars: Sonars, dark: bool
 ) -> Fiducials:
     """Fit the outlines from the pose of the blobs, then again from the pose that gives.
 
@@ -235,7 +237,7 @@ def _acceptable(fits: Fits, half_size: np.ndarray, dark: bool) -> np.ndarray:
     )
 
 
-def _check(layout: Layout) -> None:
+def _check(layout: FiducialLayout) -> None:
     """Refuse what is left of the fiducials if it determines no pose."""
     if not spans_plane(layout.centres):
         raise NotMeasured(f"only {len(layout)} clean fiducials: three that are not on one line are needed")

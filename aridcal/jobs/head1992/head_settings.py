@@ -13,17 +13,17 @@ from aridcal.engine.instruments.pose import turned
 from aridcal.files.campaign import ArmSettings
 from aridcal.files.instrument_settings import Placement
 from aridcal.files.orientations import QUATERNION
-from aridcal.files.quantities import POSITION, QUATERNION_SLACK
+from aridcal.files.quantities import POSITION_COLUMNS, QUATERNION_SLACK
 from aridcal.files.tables import Table, read_tables
-from aridcal.files.yaml_file import LARGEST, Number, Positive, RelativePath, Section, Settings, Vector3
+from aridcal.files.yaml_file import LARGEST_SETTING, Number, Positive, RelativePath, Section, Settings, Vector3
 from aridcal.system.errors import MeasurementError
-from aridcal.system.reading.regular_files import MEGA, TABLE, Limit
+from aridcal.system.reading.regular_files import MEGA, TABLE_LIMIT, Limit
 
 CHARUCO_KEYS = ("squares_x", "squares_y", "square", "marker", "dictionary")
-POSE_COLUMNS = (*POSITION, *QUATERNION)
+POSE_COLUMNS = (*POSITION_COLUMNS, *QUATERNION)
 
 # [m] Second singular value of the sonars' layout below which they sit on one line: a millimetre shows no tilt.
-LEAST_SPREAD = 1e-3
+LEAST_SONAR_SPREAD = 1e-3
 
 
 class CameraSettings(Section):
@@ -60,7 +60,7 @@ class SonarSettings(Section):
     def _off_one_line(self) -> SonarSettings:
         across = np.array(self.positions)[:, :2]
         extents = np.linalg.svd(across - across.mean(axis=0), compute_uv=False)
-        if extents[1] < LEAST_SPREAD:
+        if extents[1] < LEAST_SONAR_SPREAD:
             raise ValueError("the sonars sit on one line: they cannot see a plane's tilt about it; check `positions`")
         return self
 
@@ -114,7 +114,7 @@ class HeadSettings(Settings):
         return self
 
 
-def load_squares(path: Path, limit: Limit = TABLE) -> dict[int, np.ndarray]:
+def load_squares(path: Path, limit: Limit = TABLE_LIMIT) -> dict[int, np.ndarray]:
     """Read ``squares.csv``: T_world_square, (4, 4), of each square by its index.
 
     Raises:
@@ -140,8 +140,8 @@ def load_squares(path: Path, limit: Limit = TABLE) -> dict[int, np.ndarray]:
 def _check_square(table: Table, row: int, names: tuple[str, ...], numbers: np.ndarray) -> None:
     """Refuse a row of ``squares.csv`` that is no pose of a square."""
     for name, value in zip(names, numbers, strict=True):
-        if not np.abs(value) <= LARGEST:
-            raise MeasurementError(str(table.remark(row, name, f"should be a number, not beyond {LARGEST:g}")))
+        if not np.abs(value) <= LARGEST_SETTING:
+            raise MeasurementError(str(table.remark(row, name, f"should be a number, not beyond {LARGEST_SETTING:g}")))
     index, length = numbers[0], np.linalg.norm(numbers[4:])
     if index != round(index) or index < 0:
         raise MeasurementError(str(table.remark(row, "index", "should be a whole number, 0 or more")))

@@ -19,13 +19,13 @@ import numpy as np
 from aridcal.jobs.head1992.blobs import Blobs
 from aridcal.jobs.head1992.square import (
     CENTRE_FIDUCIAL,
-    CENTRES,
     CORNER_MARKER,
+    FIDUCIAL_CENTRES,
     INCH,
     N_FIDUCIALS,
     ONE_SQUARE,
-    SIDE,
-    Layout,
+    SQUARE_SIDE,
+    FiducialLayout,
 )
 from aridcal.system.errors import AridcalError
 
@@ -61,7 +61,7 @@ MAX_SLANT = 0.35
 LEAST_WIDTH = 0.3 * INCH
 
 # Of p1 to p6 on the square, shape (6,).
-_CENTRES = CENTRES @ [1, 1j]
+_CENTRES = FIDUCIAL_CENTRES @ [1, 1j]
 
 # Tells from places on the plane where small fiducials are seen, (K,), at which others, (M,), there plainly is none.
 Blank = Callable[[np.ndarray, np.ndarray, complex], np.ndarray]
@@ -86,7 +86,7 @@ class Match:
     pairs: np.ndarray
 
 
-def match(blobs: Blobs, layout: Layout, blank: Blank) -> Match:
+def match(blobs: Blobs, layout: FiducialLayout, blank: Blank) -> Match:
     """Match blobs to fiducials.
 
     A proposal's score is the number of fiducials that it finds less its contradictions, see ``_contradictions``.
@@ -123,7 +123,7 @@ def match(blobs: Blobs, layout: Layout, blank: Blank) -> Match:
     return best
 
 
-def _matches(proposals: Iterable[tuple[complex, complex]], blobs: Blobs, layout: Layout) -> list[Match]:
+def _matches(proposals: Iterable[tuple[complex, complex]], blobs: Blobs, layout: FiducialLayout) -> list[Match]:
     """Refined proposals of turn and shift, without those that lead to an earlier match or to too few pairs."""
     matches: list[Match] = []
     for turn, shift in proposals:
@@ -137,7 +137,7 @@ def _matches(proposals: Iterable[tuple[complex, complex]], blobs: Blobs, layout:
     return matches
 
 
-def _contradictions(m: Match, blobs: Blobs, layout: Layout, blank: Blank) -> int:
+def _contradictions(m: Match, blobs: Blobs, layout: FiducialLayout, blank: Blank) -> int:
     """Number of contradictions of a match: bare paper where fiducials should be, and more marks on the square than it has."""
     fiducials, matched_blobs = m.pairs.T
     missing = np.setdiff1d(np.arange(len(layout)), fiducials)
@@ -145,11 +145,11 @@ def _contradictions(m: Match, blobs: Blobs, layout: Layout, blank: Blank) -> int
     small = blobs.places[matched_blobs][~layout.is_centre[fiducials]]
     blank_places = blank(small, expected, m.turn)
     spare = (np.delete(blobs.places, matched_blobs) - m.shift) / m.turn
-    on_square = np.maximum(np.abs(spare.real), np.abs(spare.imag)) < SIDE / 2
+    on_square = np.maximum(np.abs(spare.real), np.abs(spare.imag)) < SQUARE_SIDE / 2
     return int(blank_places.sum() + SPARE_MARK * on_square.sum())
 
 
-def _places(layout: Layout) -> np.ndarray:
+def _places(layout: FiducialLayout) -> np.ndarray:
     """Return the centres of fiducials on the square's plane, shape (M,)."""
     return layout.centres[:, :2] @ [1, 1j]
 
@@ -169,7 +169,7 @@ def _from_centres(blobs: Blobs) -> list[tuple[complex, complex]]:
             pairs = _pairs(turn, shift, ONE_SQUARE, blobs, NEAR)
             if len(pairs) > 1:  # the turn is to be exact enough for the squares beside
                 turn, shift = _rigid(_CENTRES[pairs[:, 0]], blobs.places[pairs[:, 1]])
-            beside = SIDE * 1j * turn
+            beside = SQUARE_SIDE * 1j * turn
             proposals += [(turn, shift), (turn, shift + beside), (turn, shift - beside)]
     return proposals
 
@@ -215,7 +215,7 @@ def _first_of_each(turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
     return np.sort(first)
 
 
-def _refined(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> Match | None:
+def _refined(turn: complex, shift: complex, blobs: Blobs, layout: FiducialLayout) -> Match | None:
     """Match a proposal and refine it; None if another square would be nearer the optical axis, or too little is matched.
 
     The own square alone is matched first, by a rough turn; then all in view, twice, by the turn that this gives.
@@ -244,12 +244,12 @@ def _nearest_the_axis(turn: complex, shift: complex, middles: np.ndarray, lead: 
         lead: May be negative.
     """
     axis = -shift / turn  # where the optical axis meets the square
-    beside = 1j * np.copysign(SIDE, axis.imag)  # a square that need not be listed
+    beside = 1j * np.copysign(SQUARE_SIDE, axis.imag)  # a square that need not be listed
     others = np.append(middles[1:], beside)
     return not np.any(np.abs(axis - others) < np.abs(axis) + lead)
 
 
-def _pairs(turn: complex, shift: complex, layout: Layout, blobs: Blobs, tolerance: float) -> np.ndarray:
+def _pairs(turn: complex, shift: complex, layout: FiducialLayout, blobs: Blobs, tolerance: float) -> np.ndarray:
     """Pair fiducials and blobs of the same kind that are each other's nearest, shape (K, 2)."""
     if len(blobs.places) == 0:
         return np.zeros((0, 2), dtype=int)
@@ -264,7 +264,7 @@ def _pairs(turn: complex, shift: complex, layout: Layout, blobs: Blobs, toleranc
     return np.column_stack([matched, nearest[matched]])
 
 
-def _alike(turn: complex, layout: Layout, blobs: Blobs) -> np.ndarray:
+def _alike(turn: complex, layout: FiducialLayout, blobs: Blobs) -> np.ndarray:
     """Tell which blobs are of which fiducials' kind, centre fiducials not slanted, shape (M, B)."""
     upright = turn * (layout.axes[:, 1, :2] @ [1, 1j])
     along = np.exp(1j * blobs.angles)

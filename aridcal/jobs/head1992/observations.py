@@ -37,7 +37,7 @@ class Detections:
 
 
 @dataclass(frozen=True)
-class Read:
+class CampaignRows:
     """The rows of a campaign, of whatever kind.
 
     Attributes:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from aridcal.engine.instruments.camera import predict_pixels
-from aridcal.jobs.head1992.square import CENTRES, SIDE, Layout
+from aridcal.jobs.head1992.square import FIDUCIAL_CENTRES, SQUARE_SIDE, FiducialLayout
 
 # Shapes are predicted from places up to so many half sizes from a fiducial's centre: its outline lies well inside.
 GRID_REACH = 1.2
@@ -64,7 +64,7 @@ class Shapes:
         return Shapes(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
-def predict_shapes(T_camera_square: np.ndarray, layout: Layout, intrinsics: np.ndarray) -> Shapes:
+def predict_shapes(T_camera_square: np.ndarray, layout: FiducialLayout, intrinsics: np.ndarray) -> Shapes:
     """Predict the images of fiducials, perspective and distortion to second order across each of them.
 
     Nine places on and around a fiducial are projected, and the six coefficients of the way back, from the image to the
@@ -107,14 +107,14 @@ def _quadratic(xy: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
-def _paper_edges(layout: Layout) -> np.ndarray:
+def _paper_edges(layout: FiducialLayout) -> np.ndarray:
     """Find where the paper ends beside each fiducial, in units of its width and height from its centre, shape (F, 2).
 
     Inf along an axis on which the fiducial sits in the paper's middle half: its edge is too far away to matter.
     """
-    place = CENTRES[layout.fiducial - 1]
-    edge = np.sign(place) * SIDE / 2
-    beside = np.abs(place) > SIDE / 4
+    place = FIDUCIAL_CENTRES[layout.fiducial - 1]
+    edge = np.sign(place) * SQUARE_SIDE / 2
+    beside = np.abs(place) > SQUARE_SIDE / 4
     return np.where(beside, (edge - place) / layout.sizes, np.inf)
 
 

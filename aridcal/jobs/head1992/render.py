@@ -19,13 +19,13 @@ import numpy as np
 
 from aridcal.engine.instruments.camera import predict_ranges, project
 from aridcal.engine.instruments.camera_sonar import Head
-from aridcal.jobs.head1992.square import SIDE, fiducial_corners, index_corners, paper_corners
+from aridcal.jobs.head1992.square import SQUARE_SIDE, fiducial_corners, index_corners, paper_corners
 
 # Of the JPEG files: its errors stay below the camera's noise.
 JPEG_QUALITY = 90
 
 # [m] Squares whose centres are this near the one looked at may be in view.
-NEIGHBOUR_DISTANCE = 4 * SIDE
+NEIGHBOUR_DISTANCE = 4 * SQUARE_SIDE
 
 # [m] from the lens to a square that can be in focus.
 LEAST_DISTANCE = 0.05
@@ -34,7 +34,7 @@ LEAST_DISTANCE = 0.05
 VIEW_MARGIN = 3.0
 
 # [m] by which a square must be nearer the optical axis than the others: the detector is to have no doubt.
-OWN_SQUARE_LEAD = SIDE / 10
+OWN_SQUARE_LEAD = SQUARE_SIDE / 10
 
 # Of a shot: largest change of the light, a share; blur from and to, [px]; noise, [grey levels].
 LIGHT, BLUR, NOISE = 0.15, (0.5, 0.9), 1.5
@@ -64,7 +64,7 @@ class Glare(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Scene:
+class ImageAppearance:
     """All of an image but its geometry.
 
     Attributes:
@@ -164,7 +164,7 @@ def _project_flat(points: np.ndarray, T_camera_square: np.ndarray, intrinsics: n
 
 
 def light_map(
-    T_camera_squares: Mapping[int, np.ndarray], intrinsics: np.ndarray, width: int, height: int, scene: Scene
+    T_camera_squares: Mapping[int, np.ndarray], intrinsics: np.ndarray, width: int, height: int, scene: ImageAppearance
 ) -> np.ndarray:
     """Render without noise and without rounding, shape (height, width), [grey levels].
 
@@ -191,7 +191,7 @@ def light_map(
     return WHITE * _lit(image, scene)
 
 
-def _lit(image: np.ndarray, scene: Scene) -> np.ndarray:
+def _lit(image: np.ndarray, scene: ImageAppearance) -> np.ndarray:
     """Let uneven light and highlights fall on reflectances, shape (height, width)."""
     height, width = image.shape
     right, down = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
@@ -208,7 +208,7 @@ def render(
     intrinsics: np.ndarray,
     width: int,
     height: int,
-    scene: Scene,
+    scene: ImageAppearance,
     rng: np.random.Generator,
 ) -> np.ndarray:
     """Take a photograph: ``light_map`` with noise, wrong pixels, rounding and saturation, uint8 (height, width)."""
@@ -316,7 +316,7 @@ def photograph(
     seen = optics.seen(T_world_camera, square)
     right, down = rng.uniform(-LIGHT, LIGHT, 2)
     blur = float(rng.uniform(*BLUR))
-    scene = Scene(light=(float(right), float(down)), blur=blur, noise=noise)
+    scene = ImageAppearance(light=(float(right), float(down)), blur=blur, noise=noise)
     image = render(seen, head.intrinsics, optics.width, optics.height, scene, rng)
     _, content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return content.tobytes(), read_sonars(seen[square], head, rng)

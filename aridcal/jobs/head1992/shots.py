@@ -18,11 +18,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from aridcal.engine.instruments.camera import carried
+from aridcal.engine.instruments.camera import square_motion
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, load_robot
 from aridcal.files.tables import Table
-from aridcal.files.yaml_file import LARGEST, load_settings
+from aridcal.files.yaml_file import LARGEST_SETTING, load_settings
 from aridcal.jobs.head1992.charuco import Board, find_charuco
 from aridcal.jobs.head1992.fiducials import Fiducials, find_fiducials
 from aridcal.jobs.head1992.head_settings import HeadSettings, load_shots, load_squares, range_columns
@@ -88,7 +88,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Measured:
+class ShotResult:
     """The result of a shot: a pose, or the reason why there is none.
 
     Attributes:
@@ -151,7 +151,9 @@ def _given_squares(table: Table) -> list[int | str | None]:
     """Read the column ``square``: whole numbers as such, anything else as its text."""
     numbers, _ = table.numbers("square")
     texts = table.texts("square")
-    return [int(n) if abs(n) < LARGEST and n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
+    return [
+        int(n) if abs(n) < LARGEST_SETTING and n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)
+    ]
 
 
 def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator[np.ndarray]:
@@ -281,11 +283,11 @@ def tip_pose(sighting: Sighting, T_world_square: np.ndarray, T_tip_camera: np.nd
         T_world_tip, shape (4, 4), and its covariance, position and rotation vector in world axes, shape (6, 6).
     """
     T_square_tip = np.linalg.inv(T_tip_camera @ sighting.pose.T_camera_square)
-    J = carried(T_world_square[None, :3, :3], T_square_tip[None, :3, 3])[0]
+    J = square_motion(T_world_square[None, :3, :3], T_square_tip[None, :3, 3])[0]
     return T_world_square @ T_square_tip, J @ sighting.pose.covariance @ J.T
 
 
-def measure_shot(shot: Shot, head: HeadSettings, squares: Mapping[int, np.ndarray]) -> Measured:
+def measure_shot(shot: Shot, head: HeadSettings, squares: Mapping[int, np.ndarray]) -> ShotResult:
     """Measure one shot, or say why it cannot be."""
     image = None
     try:
@@ -294,9 +296,9 @@ def measure_shot(shot: Shot, head: HeadSettings, squares: Mapping[int, np.ndarra
         square, sighting = _identified(shot, image, sonars, head, squares)
     except NotMeasured as refusal:
         thumbnail = b"" if image is None else picture(image, None, None, THUMBNAIL)
-        return Measured(shot, why=str(refusal), thumbnail=thumbnail)
+        return ShotResult(shot, why=str(refusal), thumbnail=thumbnail)
     T_world_tip, covariance = tip_pose(sighting, squares[square], head.tip_camera.homogeneous)
-    return Measured(
+    return ShotResult(
         shot,
         square=square,
         T_world_tip=T_world_tip,
@@ -375,14 +377,14 @@ def picture(image: np.ndarray, fiducials: Fiducials | None, own: int | None, wid
     return bytes(content)
 
 
-def measure_shots(shots: Sequence[Shot], head: HeadSettings, squares: Mapping[int, np.ndarray]) -> Iterator[Measured]:
+def measure_shots(shots: Sequence[Shot], head: HeadSettings, squares: Mapping[int, np.ndarray]) -> Iterator[ShotResult]:
     """Measure shots one after the other, over all processors if there are many."""
     with _mapping(len(shots)) as apply:
         yield from apply(partial(measure_shot, head=head, squares=squares), list(shots))
 
 
 @contextmanager
-def _mapping(n: int) -> Iterator[Callable[[Callable[[Shot], Measured], list[Shot]], Iterator[Measured]]]:
+def _mapping(n: int) -> Iterator[Callable[[Callable[[Shot], ShotResult], list[Shot]], Iterator[ShotResult]]]:
     """Give ``map``, over all processors if there is enough to do."""
     if n < PARALLEL_FROM:
         yield map

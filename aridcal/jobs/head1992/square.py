@@ -16,21 +16,21 @@ import numpy as np
 INCH = 0.0254
 
 # Side of a square, and the pitch of a strip, [m].
-SIDE = 4 * INCH
+SQUARE_SIDE = 4 * INCH
 
 STRIP_SQUARES = 28
 
 # Centres of p1 to p6 in the square frame, shape (6, 2), [m].
-CENTRES = INCH * np.array([[-1.75, 1.75], [0, 1.75], [-1.75, 0], [0, 0], [1.75, 0], [0, -1.75]])
+FIDUCIAL_CENTRES = INCH * np.array([[-1.75, 1.75], [0, 1.75], [-1.75, 0], [0, 0], [1.75, 0], [0, -1.75]])
 
 # Width and height of p1 to p6, shape (6, 2), [m].
-SIZES = INCH * np.array([[0.25, 0.25], [0.25, 0.25], [0.25, 0.25], [0.25, 0.5], [0.25, 0.25], [0.25, 0.25]])
+FIDUCIAL_SIZES = INCH * np.array([[0.25, 0.25], [0.25, 0.25], [0.25, 0.25], [0.25, 0.5], [0.25, 0.25], [0.25, 0.25]])
 
 CORNER_MARKER, CENTRE_FIDUCIAL = 1, 4
-N_FIDUCIALS = len(CENTRES)
+N_FIDUCIALS = len(FIDUCIAL_CENTRES)
 
 # Corners of a rectangle of size one around its centre, clockwise as seen, shape (4, 2).
-UNIT = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
 # Which segments each digit lights: from the top clockwise, the middle one last.
 _SEGMENTS = (
@@ -56,12 +56,12 @@ _DIGITS_AT = INCH * np.array([0.875, -0.875])  # no turn of the square brings a 
 
 def fiducial_corners() -> np.ndarray:
     """Return the corners of p1..p6, clockwise as seen, in the square frame, shape (6, 4, 2), [m]."""
-    return CENTRES[:, None] + SIZES[:, None] * UNIT
+    return FIDUCIAL_CENTRES[:, None] + FIDUCIAL_SIZES[:, None] * UNIT_CORNERS
 
 
 def paper_corners() -> np.ndarray:
     """Return the corners of the square's own paper, shape (4, 2), [m]."""
-    return SIDE * UNIT
+    return SQUARE_SIDE * UNIT_CORNERS
 
 
 def index_corners(index: int) -> np.ndarray:
@@ -73,18 +73,18 @@ def index_corners(index: int) -> np.ndarray:
         lit = np.array(list(_SEGMENTS[int(digit)])) == "1"
         bars.append(_BARS[lit] + [to_the_right, 0, 0, 0])
     middles, sizes = np.split(_DIGIT_WIDTH * np.concatenate(bars), 2, axis=1)
-    return _DIGITS_AT + middles[:, None] + sizes[:, None] * UNIT
+    return _DIGITS_AT + middles[:, None] + sizes[:, None] * UNIT_CORNERS
 
 
 def strip_placements(n: int = STRIP_SQUARES) -> np.ndarray:
     """Return T_first_square of each square of a flat strip: stacked along +y, shape (n, 4, 4)."""
     T_first_square = np.tile(np.eye(4), (n, 1, 1))
-    T_first_square[:, 1, 3] = SIDE * np.arange(n)
+    T_first_square[:, 1, 3] = SQUARE_SIDE * np.arange(n)
     return T_first_square
 
 
 @dataclass(frozen=True)
-class Layout:
+class FiducialLayout:
     """The fiducials that may be in view around one square, in that square's frame.
 
     Attributes:
@@ -105,14 +105,14 @@ class Layout:
         """Count the fiducials."""
         return len(self.square)
 
-    def __getitem__(self, which: np.ndarray) -> Layout:
+    def __getitem__(self, which: np.ndarray) -> FiducialLayout:
         """Select fiducials."""
-        return Layout(*(getattr(self, f.name)[which] for f in fields(self)))
+        return FiducialLayout(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @property
     def corners(self) -> np.ndarray:
         """Corners of each fiducial, shape (M, 4, 3), [m]."""
-        flat = self.sizes[:, None] * UNIT
+        flat = self.sizes[:, None] * UNIT_CORNERS
         return self.centres[:, None] + flat @ self.axes
 
     @property
@@ -122,10 +122,10 @@ class Layout:
 
 
 # [m] Two squares to either side of one: all that a camera near enough to measure has in view.
-REACH = 2.5 * SIDE
+LAYOUT_REACH = 2.5 * SQUARE_SIDE
 
 
-def layout(squares: Mapping[int, np.ndarray], square: int, reach: float = REACH) -> Layout:
+def layout(squares: Mapping[int, np.ndarray], square: int, reach: float = LAYOUT_REACH) -> FiducialLayout:
     """Collect the fiducials of a square, first, and of those whose centres lie within reach of its centre.
 
     Args:
@@ -142,15 +142,15 @@ def layout(squares: Mapping[int, np.ndarray], square: int, reach: float = REACH)
     names = sorted(near, key=lambda k: (k != square, k))
     xy_axes = np.array([T_own_square[k][:3, :2] for k in names])  # (S, 3, 2)
     origins = np.array([T_own_square[k][:3, 3] for k in names])
-    centres = origins[:, None] + np.einsum("sij,fj->sfi", xy_axes, CENTRES)
+    centres = origins[:, None] + np.einsum("sij,fj->sfi", xy_axes, FIDUCIAL_CENTRES)
     axes = np.swapaxes(xy_axes, 1, 2)
     numbers = np.arange(1, N_FIDUCIALS + 1)
-    return Layout(
+    return FiducialLayout(
         square=np.repeat(names, N_FIDUCIALS),
         fiducial=np.tile(numbers, len(names)),
         centres=centres.reshape(-1, 3),
         axes=np.repeat(axes, N_FIDUCIALS, axis=0),
-        sizes=np.tile(SIZES, (len(names), 1)),
+        sizes=np.tile(FIDUCIAL_SIZES, (len(names), 1)),
     )
 
 

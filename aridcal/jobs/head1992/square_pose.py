@@ -30,7 +30,7 @@ FEW_DOF, FEW_MISFIT_P = 5, 0.1
 MAX_STEPS = 30
 
 # Sigma: a step that moves no residual by more, in the norm of all of them, ends the fit.
-LAST_STEP = 1e-4
+LAST_POSE_STEP = 1e-4
 
 # A step turns by at most 1/4 rad and shifts by at most 1/4 of the distance: as far as the linear model is of use.
 STEP_DIVISOR = 4.0
@@ -40,7 +40,7 @@ FEWEST_POINTS = 3
 
 # Share of the pose's own uncertainty taken off a residual's covariance; all of it would leave a point that alone
 # determines something with none.
-LEAST_SPREAD = 0.999
+LARGEST_NORMAL_COSINE = 0.999
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def fit_pose(
         T = T @ pin.exp6(twist).homogeneous
         if T[2, 3] <= 0:
             raise ValueError("the fiducials in view fit no pose in front of the camera")
-        if np.linalg.norm(B @ twist) < LAST_STEP:
+        if np.linalg.norm(B @ twist) < LAST_POSE_STEP:
             break
     else:
         raise ValueError("the fit of the pose does not converge")
@@ -243,7 +243,7 @@ def _outlying(pose: Pose, points: np.ndarray, covariances: np.ndarray, intrinsic
     """
     _, J, _ = predict_pixels(pose.T_camera_square, points, intrinsics)
     r = pose.pixel_residuals
-    drawn = LEAST_SPREAD * J @ pose.covariance @ np.swapaxes(J, 1, 2)
+    drawn = LARGEST_NORMAL_COSINE * J @ pose.covariance @ np.swapaxes(J, 1, 2)
     solved = np.linalg.solve(covariances - drawn, r[..., None])[..., 0]
     return np.asarray(np.einsum("mi,mi->m", r, solved))
 

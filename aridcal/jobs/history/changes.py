@@ -24,13 +24,13 @@ from aridcal.jobs.history.difference import Difference
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.jobs.maintain.hypotheses import effect_groups, effect_in_words
 
-MOST_CAUSES = 8
+MOST_CHANGES = 8
 """Most causes that are named: with more, it is no longer a change of this robot."""
 
 ALIKE_SQUARES = 6.0
 """Squares by which two candidates may differ to be told apart: odds of 20 to 1."""
 
-SAME_MOTION_SHARE = 1e-4
+ONE_MOTION_SHARE = 1e-4
 """Share of its squares that two columns may differ by to be one motion: second-order terms of constants off by a centimetre."""
 
 NEAR_MOTION_SHARE = 0.01
@@ -44,7 +44,7 @@ EFFECT_RANK_SHARE = 1e-4
 
 
 @dataclass(frozen=True)
-class Cause:
+class NamedChange:
     """Something that changed.
 
     Attributes:
@@ -75,11 +75,11 @@ class Causes:
     """What changed between two calibrations.
 
     Attributes:
-        found: The causes, the surest first.
+        changes: The causes, the surest first.
         rest: Chance of what the causes leave, where nothing else changed.
     """
 
-    found: tuple[Cause, ...]
+    changes: tuple[NamedChange, ...]
     rest: float
 
 
@@ -106,7 +106,7 @@ def causes(of: Difference, moved: Mapping[str, float] | None = None) -> Causes:
     chosen = [c for c in candidates if moved and all(of.columns[k].coefficient.name in moved for k in c.own)]
     alike: dict[str, tuple[str, ...]] = {}
     residual = _residual(of.z, chosen)
-    while of.p_of(float(residual @ residual), len(of.z) - _width(chosen)) < FALSE_ALARMS and len(chosen) < MOST_CAUSES:
+    while of.p_of(float(residual @ residual), len(of.z) - _width(chosen)) < FALSE_ALARMS and len(chosen) < MOST_CHANGES:
         others = [c for c in candidates if c not in chosen]
         gains = [_gain(c, chosen, residual) for c in others]
         chances = [_log_p(of, gain, c.X.shape[1]) for gain, c in zip(gains, others, strict=True)]
@@ -135,7 +135,7 @@ def causes(of: Difference, moved: Mapping[str, float] | None = None) -> Causes:
     return Causes(tuple(causes_found), of.p_of(float(residual @ residual), len(of.z) - _width(chosen)))
 
 
-def untold_zeros(of: Difference) -> tuple[str, ...]:
+def unobservable_zeros(of: Difference) -> tuple[str, ...]:
     """Joints, with their limbs, of which a zero that moved looks like a base or a tool that was set up anew."""
     residual = across(of.free, np.column_stack([column.moves for column in of.columns]))
     return tuple(
@@ -165,7 +165,7 @@ def _candidates(of: Difference) -> Iterator[_Candidate]:
         if not visible[k] or length == 0.0:
             continue
         way = X[:, k] / length
-        if all(1.0 - float(way @ other) ** 2 > SAME_MOTION_SHARE for other in motions):
+        if all(1.0 - float(way @ other) ** 2 > ONE_MOTION_SHARE for other in motions):
             motions.append(way)
             c = coefficients[k]
             zero = c.basis.form == "ones"
@@ -226,7 +226,7 @@ def _cause(
     tests: int,
     alike: tuple[str, ...],
     moved: Mapping[str, float],
-) -> Cause:
+) -> NamedChange:
     """The k-th of several chosen changes, fitted beside the others."""
     candidate = chosen[k]
     others = [c for c in chosen if c is not candidate]
@@ -241,7 +241,7 @@ def _cause(
     z = z + X @ before  # what was moved already, is a change, too
     gain = _gain(candidate, others, z)
     before_values = [0.0 if np.isnan(column.values[0]) else column.values[0] for column in columns]
-    return Cause(
+    return NamedChange(
         words=candidate.words,
         names=tuple(column.coefficient.name for column in columns),
         units=tuple(column.unit for column in columns),

@@ -11,10 +11,10 @@ import numpy as np
 from aridcal import __version__
 from aridcal.engine.robot.chain import Robot
 from aridcal.jobs.calibrate.saved_model import SavedModel
-from aridcal.jobs.history.changes import Cause, Causes, causes, untold_zeros
+from aridcal.jobs.history.changes import Causes, NamedChange, causes, unobservable_zeros
 from aridcal.jobs.history.difference import Difference, difference
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
-from aridcal.system.wording import enumerated, number, plus_minus, shown_in
+from aridcal.system.wording import enumeration, number, plus_minus, shown_unit
 
 LARGE_CHANGE = 3e-3
 """[m] and [rad]: a change above this is no longer linear: terms of second order reach 10 um and 10 urad."""
@@ -22,7 +22,7 @@ LARGE_CHANGE = 3e-3
 LARGE_CHANGE_ROUNDS = 6
 """Most times that a large change is taken off and looked for again; three are usual."""
 
-LAST_STEP = 1e-7
+LAST_CHANGE_STEP = 1e-7
 """[m] and [rad]: a large change that moves by less is found."""
 
 WORST_ROWS = 8
@@ -72,10 +72,12 @@ def compare(a: SavedModel, b: SavedModel) -> Comparison:
     changes_taken: dict[str, float] = {}
     with_changes = as_they_are
     for _ in range(LARGE_CHANGE_ROUNDS):
-        large = [c for c in causes_found.found[:1] if not changes_taken and np.abs(c.value).max() > LARGE_CHANGE]
-        again = [c for c in causes_found.found if changes_taken and set(c.names) <= set(changes_taken)]
+        large = [c for c in causes_found.changes[:1] if not changes_taken and np.abs(c.value).max() > LARGE_CHANGE]
+        again = [c for c in causes_found.changes if changes_taken and set(c.names) <= set(changes_taken)]
         step = {name: float(value) for c in (*large, *again) for name, value in zip(c.names, c.value, strict=True)}
-        if not step or all(abs(value - changes_taken.get(name, 0.0)) < LAST_STEP for name, value in step.items()):
+        if not step or all(
+            abs(value - changes_taken.get(name, 0.0)) < LAST_CHANGE_STEP for name, value in step.items()
+        ):
             break
         changes_taken = step
         with_changes = difference(a, b, changes_taken)
@@ -110,7 +112,9 @@ def _joint_in_words(robot: Robot, name: str) -> str:
         unit = "m" if robot.moves[name][1] == "prismatic" else "rad"
         return f"stands at {place:g} {unit} (`robot.joints`)"
     if coupled is not None:
-        return f"follows {enumerated([f'{factor:g} {master}' for master, factor in coupled.items()])} (`robot.coupled`)"
+        return (
+            f"follows {enumeration([f'{factor:g} {master}' for master, factor in coupled.items()])} (`robot.coupled`)"
+        )
     return "is as its column or the URDF says"
 
 
@@ -128,8 +132,8 @@ def lines(both: Comparison) -> list[str]:
     else:
         sentences = [f"changed: the predicted poses differ by more than the uncertainty of both ({chance})"]
     sentences.append(_sizes(d))
-    sentences += [_cause(c) for c in both.causes.found]
-    if both.changed and not both.causes.found:
+    sentences += [_cause(c) for c in both.causes.changes]
+    if both.changed and not both.causes.changes:
         sentences.append("no single constant, zero or effect explains it")
     elif both.changed and both.causes.rest < FALSE_ALARMS:
         sentences.append(
@@ -137,10 +141,10 @@ def lines(both: Comparison) -> list[str]:
         )
     if d.frames:
         sentences.append(_frames(d))
-    zeros_unknown = untold_zeros(d)
+    zeros_unknown = unobservable_zeros(d)
     if zeros_unknown:
         zeros = "the zero" if len(zeros_unknown) == 1 else "the zeros"
-        sentences.append(f"not told from that: {zeros} of {enumerated(list(zeros_unknown))}")
+        sentences.append(f"not told from that: {zeros} of {enumeration(list(zeros_unknown))}")
     return sentences
 
 
@@ -159,15 +163,15 @@ def _sizes(d: Difference) -> str:
     return "the targets are apart by " + "; ".join(parts)
 
 
-def _cause(c: Cause) -> str:
+def _cause(c: NamedChange) -> str:
     """A line on one cause."""
     if len(c.names) == 1:
-        unit, scale = shown_in(c.units[0])
+        unit, scale = shown_unit(c.units[0])
         sign = "+" if c.value[0] > 0 else ""
         by = f"by {sign}{plus_minus(scale * float(c.value[0]), scale * float(c.std[0]))} {unit}"
     else:
         by = f"in {len(c.names)} coefficients"
-    alike = f"; {enumerated(list(c.alike))} would explain it as well" if c.alike else ""
+    alike = f"; {enumeration(list(c.alike))} would explain it as well" if c.alike else ""
     return f"changed: {c.words} {by} ({p_in_words(c.p_value)}){alike}"
 
 
@@ -183,7 +187,7 @@ def _frames(d: Difference) -> str:
         else f"the {NOUNS[where]}, {number(1e3 * length)} mm elsewhere"
         for where, (length, turn) in d.frames.items()
     ]
-    return f"not counted, for each calibration fits it anew: {enumerated(parts)}"
+    return f"not counted, for each calibration fits it anew: {enumeration(parts)}"
 
 
 def constants(comparison: Comparison) -> list[dict[str, Any]]:
@@ -241,12 +245,12 @@ def document(comparison: Comparison) -> dict[str, Any]:
                 "p_value": c.p_value,
                 "as_well": list(c.alike),
             }
-            for c in comparison.causes.found
+            for c in comparison.causes.changes
         ],
         "rest_p_value": comparison.causes.rest,
         "constants": constants(comparison),
         "frames": {where: {"distance": length, "angle": turn} for where, (length, turn) in d.frames.items()},
-        "not_told": [f"the zero of {name}" for name in untold_zeros(d)],
+        "not_told": [f"the zero of {name}" for name in unobservable_zeros(d)],
         "worst": [dict(zip(d.robot.readings, d.readings[k].tolist(), strict=True)) for k in worst(d)],
         "notices": list(comparison.notices),
         "version": __version__,

@@ -46,12 +46,12 @@ from scipy.stats import f as fisher
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.normal_equations import across, pseudo_inverse
 from aridcal.engine.robot.chain import Robot
-from aridcal.engine.trust.workspace import LOOSE
+from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
-from aridcal.jobs.history.poses import OVER_TIME, seen_by_both
+from aridcal.jobs.history.compared_poses import OVER_TIME, common_poses
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.jobs.maintain.repair import unit_of
-from aridcal.system.wording import counted
+from aridcal.system.wording import plural
 
 LEAST_DIFFERENCE = 1e-7
 """[m] and [rad]: what is no difference for anybody, RMS over the configurations: rounding is smaller."""
@@ -77,7 +77,7 @@ UNKNOWN_NOTICE = (
 
 
 @dataclass(frozen=True)
-class Column:
+class CoefficientColumn:
     """One coefficient in the configurations that are compared.
 
     Attributes:
@@ -114,7 +114,7 @@ class Difference:
         notices: What a reader should know.
     """
 
-    columns: tuple[Column, ...]
+    columns: tuple[CoefficientColumn, ...]
     covariance: np.ndarray
     lacking: np.ndarray
     readings: np.ndarray
@@ -191,7 +191,7 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
     Raises:
         AridcalError: they are not of the same joints, or saw none of the same configurations.
     """
-    both = seen_by_both(a, b, moved or {})
+    both = common_poses(a, b, moved or {})
     noise = [a.scatter[0], b.scatter[0]]
     sigma = np.repeat([max(LEAST_DIFFERENCE, *(n[k] for n in noise)) for k in range(1 + both.turns)], 3)
     per_sigma = np.tile(1.0 / sigma, len(both.readings))[:, None]
@@ -211,7 +211,7 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
         unknown.append(constants)
         covariances[side] *= times
         if constants.shape[1]:
-            notices.append(UNKNOWN_NOTICE.format(("first", "second")[side], counted(constants.shape[1], "constant")))
+            notices.append(UNKNOWN_NOTICE.format(("first", "second")[side], plural(constants.shape[1], "constant")))
     return Difference(
         columns=columns,
         covariance=covariances[0] + covariances[1],
@@ -230,13 +230,13 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
 
 def _together(
     both: tuple[SolvedModel, SolvedModel], moves: list[np.ndarray], anew: frozenset[str]
-) -> tuple[tuple[Column, ...], np.ndarray]:
+) -> tuple[tuple[CoefficientColumn, ...], np.ndarray]:
     """The coefficients of two calibrations beside one another, and their covariances, shape (2, K, K).
 
     A coefficient that both have moves the poses alike, but for terms of second order: the mean of both. One that depends on time
     does not, for each calibration has times of its own; there are two of it.
     """
-    columns: list[Column] = []
+    columns: list[CoefficientColumn] = []
     place: dict[str, int] = {}
     columns_of: list[list[int]] = []
     indices_of: list[list[int]] = []
@@ -252,11 +252,15 @@ def _together(
             if name not in place:
                 place[name] = len(columns)
                 columns.append(
-                    Column(c, unit_of(solved.model, k), (value, np.nan) if side == 0 else (np.nan, value), J[:, k])
+                    CoefficientColumn(
+                        c, unit_of(solved.model, k), (value, np.nan) if side == 0 else (np.nan, value), J[:, k]
+                    )
                 )
             else:
                 first = columns[place[name]]
-                columns[place[name]] = Column(c, first.unit, (first.values[0], value), 0.5 * (first.moves + J[:, k]))
+                columns[place[name]] = CoefficientColumn(
+                    c, first.unit, (first.values[0], value), 0.5 * (first.moves + J[:, k])
+                )
             columns_of[side].append(place[name])
             indices_of[side].append(k)
     covariances = np.zeros((2, len(columns), len(columns)))
@@ -267,7 +271,7 @@ def _together(
 
 def _unknown_to(
     saved: SavedModel,
-    columns: tuple[Column, ...],
+    columns: tuple[CoefficientColumn, ...],
     moves: np.ndarray,
     present: np.ndarray,
     fitted: np.ndarray,
@@ -307,18 +311,18 @@ def _unknown_to(
     second_order = residual[:, same_motion] * value[same_motion]
     effects, unknown = (
         residual[:, ~constant_only],
-        residual[:, constant_only & ~same_motion & (LOOSE * size > LEAST_DIFFERENCE)],
+        residual[:, constant_only & ~same_motion & (UNTOLD_SIGMA * size > LEAST_DIFFERENCE)],
     )
     noise = np.maximum(np.repeat([saved.scatter[0][k] for k in range(len(sigma) // 3)], 3), LEAST_DIFFERENCE)
     places = len(moves) // len(sigma)
     rows = float(saved.record.get("data", {}).get("train", 0.0)) / places
     own_noise = np.tile(sigma / noise, places)[:, None]
-    times = 1.0 + float(np.sum(np.mean((LOOSE * unknown * own_noise) ** 2, axis=0)))
+    times = 1.0 + float(np.sum(np.mean((UNTOLD_SIGMA * unknown * own_noise) ** 2, axis=0)))
     if not effects.shape[1]:
         return second_order, unknown, times
     seen = effects * own_noise
     prior = (
-        np.maximum(size[~constant_only] / LOOSE, np.finfo(float).tiny) ** 2
+        np.maximum(size[~constant_only] / UNTOLD_SIGMA, np.finfo(float).tiny) ** 2
     )  # alone, none moves the target by more than LOOSE
     inverse, _ = pseudo_inverse(rows * seen.T @ seen + np.diag(prior), ROUNDING_SHARE**2)
     return np.hstack([second_order, effects @ _root(inverse)]), unknown, times

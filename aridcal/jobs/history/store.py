@@ -16,17 +16,17 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 
-from aridcal.system.errors import AridcalError, listed, shortened
+from aridcal.system.errors import AridcalError, name_list, shortened
 from aridcal.system.reading.regular_files import RESULT, read_file
 from aridcal.system.reading.user_names import check_path
 
 if TYPE_CHECKING:
     import duckdb
 
-FILE = "fleet.parquet"
+FLEET_FILE = "fleet.parquet"
 """Name of a fleet's table."""
 
-COLUMNS = frozenset(
+READ_COLUMNS = frozenset(
     {
         "robot",
         "inputs",
@@ -127,7 +127,7 @@ def read_runs(folder: Path) -> Runs:
     check_path(folder, AridcalError)
     files = tables_below(folder)
     if not files:
-        what = "there is no such folder" if not folder.is_dir() else f"there is no {FILE} in it"
+        what = "there is no such folder" if not folder.is_dir() else f"there is no {FLEET_FILE} in it"
         raise AridcalError(f"{folder}: {what}; `aridcal fleet 'robots/*/campaign.yaml' -o {folder}` makes one")
     with _duckdb().connect() as database:
         database.execute(_EMPTY)
@@ -146,8 +146,8 @@ def tables_below(folder: Path) -> list[Path]:
     tables = []
     for here, folders, names in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        if FILE in names and (Path(here) / FILE).is_file():
-            tables.append(Path(here) / FILE)
+        if FLEET_FILE in names and (Path(here) / FLEET_FILE).is_file():
+            tables.append(Path(here) / FLEET_FILE)
     return tables
 
 
@@ -171,10 +171,12 @@ def _table(file: Path) -> pa.Table:
     content = read_file(file, AridcalError, RESULT)
     try:
         stored = pyarrow.parquet.ParquetFile(pa.BufferReader(content))
-        missing = sorted(COLUMNS - set(stored.schema_arrow.names))
+        missing = sorted(READ_COLUMNS - set(stored.schema_arrow.names))
         if missing:
-            raise AridcalError(f"{file}: is no table of a fleet: it lacks {listed(missing)}. Run `aridcal fleet` again")
-        table = stored.read(sorted(COLUMNS))
+            raise AridcalError(
+                f"{file}: is no table of a fleet: it lacks {name_list(missing)}. Run `aridcal fleet` again"
+            )
+        table = stored.read(sorted(READ_COLUMNS))
     except (pa.ArrowException, OSError) as problem:
         reason = shortened(str(problem), 200)
         raise AridcalError(f"{file}: cannot be read ({reason}). Run `aridcal fleet` again, or delete it") from None

@@ -78,7 +78,7 @@ class Cycle:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ChangeEvidence:
     """Whether a series shows anything but a yearly cycle.
 
     Attributes:
@@ -95,7 +95,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Change:
+class SeriesChange:
     """A change that a series shows.
 
     Attributes:
@@ -119,12 +119,12 @@ class Change:
     so_far: float
 
 
-def evidence(series: Series) -> Evidence:
+def evidence(series: Series) -> ChangeEvidence:
     """The evidence of one series for a change."""
     n, weight = len(series.day), 1.0 / series.std
     steady = _Steady(weight, np.ones((n, 1)), series.value)
     if n < FEWEST_RUNS:
-        return Evidence(1.0, _p_of_pairs(series), 1, (steady.squares(), n - 1))
+        return ChangeEvidence(1.0, _p_of_pairs(series), 1, (steady.squares(), n - 1))
     always = with_cycle(series.day)
     shapes = _shapes(series.day)
     beside = _Steady(weight, always, series.value)
@@ -135,10 +135,12 @@ def evidence(series: Series) -> Evidence:
     blurred = 1.0 / np.hypot(series.std, CYCLE_SHAPE_ERROR * amplitude / np.sqrt(2.0))  # of a wave the RMS
     z = _Steady(blurred, always, series.value).scores(shapes)
     z_any = steady.scores(np.hstack([shapes, always[:, 1:]]))
-    return Evidence(_bonferroni(z), _bonferroni(z_any), int(np.sum(z != 0.0)), (beside.squares(), n - always.shape[1]))
+    return ChangeEvidence(
+        _bonferroni(z), _bonferroni(z_any), int(np.sum(z != 0.0)), (beside.squares(), n - always.shape[1])
+    )
 
 
-def dated(series: Series, cycle: Cycle | None = None) -> Change:
+def dated(series: Series, cycle: Cycle | None = None) -> SeriesChange:
     """The likeliest change of a series; only of use where :func:`evidence` says that there is one.
 
     Args:
@@ -188,7 +190,7 @@ def dated(series: Series, cycle: Cycle | None = None) -> Change:
     size, std, _ = best.size(column)
     first = bool(kind == "drift" and low <= day[0] + span / GRID_TIMES)
     so_far = 0.0 if kind == "odd run" else size * float(column[-1])
-    return Change(kind, began, low, high, first, size, float(np.sqrt(scale)) * std, so_far)
+    return SeriesChange(kind, began, low, high, first, size, float(np.sqrt(scale)) * std, so_far)
 
 
 @dataclass(frozen=True)

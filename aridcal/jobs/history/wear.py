@@ -28,7 +28,16 @@ import pandas as pd
 from scipy.stats import chi2
 
 from aridcal.jobs.history.store import Runs
-from aridcal.jobs.history.trend import FEWEST_RUNS, Change, Cycle, Evidence, Series, dated, evidence, with_cycle
+from aridcal.jobs.history.trend import (
+    FEWEST_RUNS,
+    ChangeEvidence,
+    Cycle,
+    Series,
+    SeriesChange,
+    dated,
+    evidence,
+    with_cycle,
+)
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.system.errors import AridcalError, nearest
 from aridcal.system.wording import number
@@ -36,7 +45,7 @@ from aridcal.system.wording import number
 LOOKS_PER_SEASON = 12
 """Fewest looks at a season that its chances allow for: once a month."""
 
-FEWEST_ROBOTS = 8
+FEWEST_ROBOTS_OF_A_CYCLE = 8
 """Fewest robots for a scatter or a cycle of one constant by itself: a median of eight is good to 40 %."""
 
 MAD = 1.4826
@@ -69,10 +78,10 @@ class ConstantHistory:
     name: str
     unit: str
     series: Series
-    shows: Evidence
+    shows: ChangeEvidence
     p_value: float
     p_any: float
-    change: Change | None
+    change: SeriesChange | None
 
     @property
     def alarm(self) -> bool:
@@ -245,7 +254,11 @@ def _scatter(all_series: Sequence[tuple[str, str, str, Series]]) -> dict[str, fl
     overall = float(np.median(pooled)) if pooled else 1.0
     return {
         constant: float(
-            np.sqrt(max(1.0, np.median(own) if len(own := ratios.get(constant, [])) >= FEWEST_ROBOTS else overall))
+            np.sqrt(
+                max(
+                    1.0, np.median(own) if len(own := ratios.get(constant, [])) >= FEWEST_ROBOTS_OF_A_CYCLE else overall
+                )
+            )
         )
         for constant in {constant for _, constant, _, _ in all_series}
     }
@@ -262,7 +275,7 @@ def _cycles(all_series: Sequence[tuple[str, str, str, Series]]) -> dict[str, Cyc
             fitted.setdefault(constant, []).append(np.concatenate([theta[1:], std[1:]]))
     fleet_cycles = {}
     for constant, of_constant in fitted.items():
-        if len(of_constant) >= FEWEST_ROBOTS:
+        if len(of_constant) >= FEWEST_ROBOTS_OF_A_CYCLE:
             values = np.array(of_constant)
             mean, noise = np.median(values[:, :2], axis=0), np.median(values[:, 2:], axis=0)
             scatter = MAD * np.median(np.abs(values[:, :2] - mean), axis=0)

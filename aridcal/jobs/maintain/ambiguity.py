@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.engine.model.model import Rows
+from aridcal.engine.model.model import ModelRows
 from aridcal.engine.robot.kinematics import joint_frames, tip_frames
 from aridcal.files.read import ONE_TARGET
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.maintain.hypotheses import Hypothesis
-from aridcal.jobs.maintain.likelihoods import Question, covariance_of, likely
+from aridcal.jobs.maintain.likelihoods import NewRowsQuestion, covariance_of, likely
 from aridcal.jobs.maintain.new_rows import LEAST_SIGMA
 from aridcal.jobs.maintain.unknowns import WideModel
-from aridcal.jobs.plan.beforehand import bodies
 from aridcal.jobs.plan.clearance import clear
+from aridcal.jobs.plan.prior_knowledge import bodies
 
 NOT_REFUTED_SQUARES = 4.0
 """Squares by which another cause may fit worse and still not be refuted: two sigma."""
@@ -29,8 +29,8 @@ DISTINCT_SIGMAS = 3.0
 
 
 def alike(
-    freed: Question, named: Hypothesis, question: Question, suspects: Sequence[Hypothesis]
-) -> list[tuple[Hypothesis, Question]]:
+    freed: NewRowsQuestion, named: Hypothesis, question: NewRowsQuestion, suspects: Sequence[Hypothesis]
+) -> list[tuple[Hypothesis, NewRowsQuestion]]:
     """Other suspects that, free to move, explain the rows as well as the named cause; the best first."""
     reference = _squares(freed)
     explanations = []
@@ -43,14 +43,14 @@ def alike(
     return [(suspect, other) for _, suspect, other in sorted(explanations, key=lambda entry: entry[0])]
 
 
-def _squares(question: Question) -> float:
+def _squares(question: NewRowsQuestion) -> float:
     """Squares that the most likely coefficients leave, those of what was known beforehand included."""
     place = likely(question)
     return place.squares(question.times) - 2.0 * float(place.beyond[0])
 
 
 @dataclass(frozen=True)
-class Telling:
+class DecidingConfiguration:
     """A configuration to measure.
 
     Attributes:
@@ -64,9 +64,12 @@ class Telling:
     joints: tuple[str, ...]
 
 
-def telling(
-    saved: SavedModel, unknowns: WideModel, question: Question, others: Sequence[tuple[Hypothesis, Question]]
-) -> tuple[Telling, ...]:
+def deciding_configurations(
+    saved: SavedModel,
+    unknowns: WideModel,
+    question: NewRowsQuestion,
+    others: Sequence[tuple[Hypothesis, NewRowsQuestion]],
+) -> tuple[DecidingConfiguration, ...]:
     """For each suspect that the rows do not refute, the configuration at which its prediction differs most from the cause's.
 
     Candidates are configurations in which the robot was calibrated, clear of itself and of the campaign's `keep_out`. The pose
@@ -96,7 +99,9 @@ def telling(
         distance = np.einsum("ni,ni->n", difference, np.linalg.solve(covariance, difference[:, :, None])[:, :, 0])
         best = int(np.argmax(distance))
         if distance[best] > DISTINCT_SIGMAS**2:
-            configurations.append(Telling(suspect.words, readings[best], _elsewhere(question, readings[best])))
+            configurations.append(
+                DecidingConfiguration(suspect.words, readings[best], _elsewhere(question, readings[best]))
+            )
     return tuple(configurations)
 
 
@@ -111,7 +116,7 @@ def _clear(saved: SavedModel) -> np.ndarray:
     return readings[free] if free.any() else readings
 
 
-def _of_target(saved: SavedModel, unknowns: WideModel, question: Question, readings: np.ndarray) -> Rows:
+def _of_target(saved: SavedModel, unknowns: WideModel, question: NewRowsQuestion, readings: np.ndarray) -> ModelRows:
     """The calibration's own target in some configurations, as the wide model sees them."""
     model, data = question.problem.model, question.problem.data
     n = len(readings)
@@ -123,7 +128,7 @@ def _of_target(saved: SavedModel, unknowns: WideModel, question: Question, readi
     return model.rows(readings, middle, station, target)
 
 
-def _elsewhere(question: Question, readings: np.ndarray) -> tuple[str, ...]:
+def _elsewhere(question: NewRowsQuestion, readings: np.ndarray) -> tuple[str, ...]:
     """Joints of a configuration that stand farther from the middle of the rows than the rows' whole width."""
     data = question.problem.data
     middle, width = data.readings.mean(axis=0), np.ptp(data.readings, axis=0)

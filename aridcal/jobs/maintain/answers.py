@@ -8,22 +8,22 @@ import numpy as np
 
 from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import MeasurementSettings
-from aridcal.jobs.calibrate.outcome import said
+from aridcal.jobs.calibrate.outcome import rms_in_words
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds
 from aridcal.jobs.maintain.checking import Cause, CheckResult
-from aridcal.jobs.maintain.outcomes import RepairOutcomes
-from aridcal.jobs.maintain.repair import Change
-from aridcal.system.wording import enumerated
+from aridcal.jobs.maintain.repair import RepairChange
+from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes
+from aridcal.system.wording import enumeration
 
 LARGEST_ZERO_CHANGE = 0.03
 """[rad] or [m] of a joint's zero beyond which what depends on its reading is no longer what was calibrated: gravity's lever is
 then off by up to a thirtieth."""
 
-MILLI = 1e3
+MILLI_PER_UNIT = 1e3
 """[mm] in a metre, [mrad] in a radian."""
 
 
-def check_lines(checked: CheckResult, changes: Sequence[Change], settings: MeasurementSettings) -> list[str]:
+def check_lines(checked: CheckResult, changes: Sequence[RepairChange], settings: MeasurementSettings) -> list[str]:
     """The answer of `aridcal check`, the verdict first; before it temperatures that the calibration did not see.
 
     Args:
@@ -40,10 +40,12 @@ def check_lines(checked: CheckResult, changes: Sequence[Change], settings: Measu
         )
         if measured
     )
-    remainder = f"{len(rows)} rows: {said(checked.residual, all_rows, rows)} RMS where the noise is {expected} per axis"
+    remainder = (
+        f"{len(rows)} rows: {rms_in_words(checked.residual, all_rows, rows)} RMS where the noise is {expected} per axis"
+    )
     lines = [*_heat_line(checked), _verdict(checked), remainder if error is None else f"{remainder}; {_error(error)}"]
     if checked.unseen:
-        lines.append(f"not seen by these rows, whatever moved: {enumerated([s.words for s in checked.unseen])}")
+        lines.append(f"not seen by these rows, whatever moved: {enumeration([s.words for s in checked.unseen])}")
     for change in changes:
         if change.cause.kind == "new":
             lines.append(f"fitted anew: {change.cause.words}, {amount(change, checked)} from where it was")
@@ -58,15 +60,16 @@ def check_lines(checked: CheckResult, changes: Sequence[Change], settings: Measu
     return lines
 
 
-def left_out_line(outcomes: RepairOutcomes) -> str:
+def repair_error_line(outcomes: RepairOutcomes) -> str:
     """Errors of the new rows before and after the repair, and of each row with the repair fitted to the others alone."""
     m = outcomes.rows.measurements
     every = ~outcomes.rows.outlier & ~m.test
     after = outcomes.rows.stage("final").residual
     before, repaired, without_row = (
-        said(residual, every, m) for residual in (outcomes.rows.stage("before").residual, after, outcomes.left_out)
+        rms_in_words(residual, every, m)
+        for residual in (outcomes.rows.stage("before").residual, after, outcomes.left_out)
     )
-    held_out = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
+    held_out = f"; {rms_in_words(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
     return f"error of the new rows: {before} before, {repaired} after, {without_row} where each is left out{held_out}"
 
 
@@ -78,8 +81,10 @@ def _heat_line(checked: CheckResult) -> list[str]:
     low, high = (f"{value:.4g}" for value in heat.rows)
     of_rows = low if low == high else f"{low} to {high}"
     return [
-        f"{heat.column} {of_rows}, where the calibration saw {heat.seen[0]:.4g} to {heat.seen[1]:.4g}: {heat.beyond:.3g} K "
-        f"more or less move the target by some {MILLI * heat.growth:.2g} mm, and shift zeros. What follows may be no more "
+        f"{heat.column} {of_rows}, where the calibration saw {heat.calibrated_range[0]:.4g} to {heat.calibrated_range[1]:.4g}: "
+        f"{heat.excess:.3g} K "
+        f"more or less move the target by some {MILLI_PER_UNIT * heat.growth:.2g} mm, and shift zeros. What follows may be no "
+        f"more "
         "than that: check at the calibration's own temperature before anything is mended"
     ]
 
@@ -88,8 +93,9 @@ def _error(error: Bounds) -> str:
     """The model's own error, noise taken off."""
     what = "RMS" if error.axes > 1 else "RMS along what was measured"
     return (
-        f"the model's own error there is {MILLI * error.estimate:.3f} mm {what}, between {MILLI * error.low:.3f} and "
-        f"{MILLI * error.high:.3f} mm"
+        f"the model's own error there is {MILLI_PER_UNIT * error.estimate:.3f} mm {what}, between "
+        f"{MILLI_PER_UNIT * error.low:.3f} and "
+        f"{MILLI_PER_UNIT * error.high:.3f} mm"
     )
 
 
@@ -98,7 +104,7 @@ def _verdict(checked: CheckResult) -> str:
     chance = f"{checked.first.words}; a calibration that is still right fails {100 * FALSE_ALARMS:g} % of checks"
     if checked.tolerance is None:
         return f"no longer good: {chance}" if checked.contradicted else f"still good: {chance}"
-    limit = f"{MILLI * checked.tolerance:g} mm"
+    limit = f"{MILLI_PER_UNIT * checked.tolerance:g} mm"
     if not checked.good:
         return f"no longer good: the error is above {limit} ({chance})"
     if checked.contradicted:
@@ -107,7 +113,9 @@ def _verdict(checked: CheckResult) -> str:
     return f"still good: the error {certainty} within {limit} ({chance})"
 
 
-def _cause_lines(checked: CheckResult, cause: Cause, change: Change | None, settings: MeasurementSettings) -> list[str]:
+def _cause_lines(
+    checked: CheckResult, cause: Cause, change: RepairChange | None, settings: MeasurementSettings
+) -> list[str]:
     """One cause: what, by how much, how sure, and what would tell it from another."""
     probability = f" (probability {_percent(cause.probability)})"
     if change is None:
@@ -131,22 +139,22 @@ def _cause_lines(checked: CheckResult, cause: Cause, change: Change | None, sett
             what = "this" if checked.rows.direct else "the target's place here"
             lines.append(f"  measure {what} to tell it from {configuration.suspect}: {at}")
             if configuration.joints:
-                lines.append(f"  (it has {enumerated(configuration.joints)} where these rows do not reach)")
+                lines.append(f"  (it has {enumeration(configuration.joints)} where these rows do not reach)")
     return lines
 
 
-def amount(change: Change, checked: CheckResult) -> str:
+def amount(change: RepairChange, checked: CheckResult) -> str:
     """By how much something moved."""
     value, std = change.value, change.std
     if change.cause.kind == "zero":
         unit = "mm" if change.units[0] == "m" else "mrad"
-        return f"{MILLI * value[0]:+.3f} ± {MILLI * std[0]:.3f} {unit}"
+        return f"{MILLI_PER_UNIT * value[0]:+.3f} ± {MILLI_PER_UNIT * std[0]:.3f} {unit}"
     if change.cause.kind in ("frame", "new"):
         parts = []
         for unit, unit_shown in (("m", "mm"), ("rad", "mrad")):
             of_unit = [u == unit for u in change.units]
             if any(of_unit):
-                size, uncertainty = (MILLI * float(np.linalg.norm(vector[of_unit])) for vector in (value, std))
+                size, uncertainty = (MILLI_PER_UNIT * float(np.linalg.norm(vector[of_unit])) for vector in (value, std))
                 parts.append(f"{size:.3f} ± {uncertainty:.3f} {unit_shown}")
         return " and ".join(parts)
     suspect = change.cause.suspect

@@ -79,7 +79,7 @@ def _noncentrality(squares: float, count: int, share: float) -> float:
     low, high = 0.0, 4.0 * (squares + count) + 100.0
     if ncx2.cdf(squares, count, low) <= share:
         return 0.0
-    for _ in range(HALVINGS):
+    for _ in range(NONCENTRALITY_HALVINGS):
         middle = 0.5 * (low + high)
         if ncx2.cdf(squares, count, middle) > share:
             low = middle
@@ -88,5 +88,5 @@ def _noncentrality(squares: float, count: int, share: float) -> float:
     return high
 
 
-HALVINGS = 60
+NONCENTRALITY_HALVINGS = 60
 """Of the interval that holds a noncentrality: to the last digits of a float."""

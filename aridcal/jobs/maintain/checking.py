@@ -11,16 +11,24 @@ from scipy.special import logsumexp
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.coverage import ASIDE, EXPANSION, beyond_heat
-from aridcal.engine.trust.wander import Wandering, wandering
+from aridcal.engine.trust.coverage import EXPANSION, RECORDED_MARGIN, beyond_heat
+from aridcal.engine.trust.wander import WanderProcesses, wandering
 from aridcal.files.campaign import Frames
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
-from aridcal.jobs.maintain.ambiguity import Telling, alike, telling
+from aridcal.jobs.maintain.ambiguity import DecidingConfiguration, alike, deciding_configurations
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds, error_of
 from aridcal.jobs.maintain.hypotheses import Hypothesis, suspects, widened
-from aridcal.jobs.maintain.likelihoods import NOISE_FACTORS, Alarm, Question, alarm, evidence, likely, taken_up
-from aridcal.jobs.maintain.new_rows import Noise, freedom_of, known_noise
-from aridcal.jobs.maintain.unknowns import WideModel, wide_of
+from aridcal.jobs.maintain.likelihoods import (
+    NOISE_FACTORS,
+    Alarm,
+    NewRowsQuestion,
+    alarm,
+    evidence,
+    likely,
+    rank_of_unknowns,
+)
+from aridcal.jobs.maintain.new_rows import NewRowNoise, freedom_of, new_row_noise
+from aridcal.jobs.maintain.unknowns import WideModel, wide_model
 from aridcal.system.errors import MeasurementError
 
 MOST_CAUSES = 4
@@ -55,7 +63,7 @@ class Cause:
     suspect: Hypothesis | None = None
     size: float = 0.0
     alike: tuple[str, ...] = ()
-    telling: tuple[Telling, ...] = ()
+    telling: tuple[DecidingConfiguration, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -65,15 +73,15 @@ class Heat:
     Attributes:
         column: Where they are recorded.
         rows: Lowest and highest of the rows.
-        seen: Lowest and highest of the calibration's own rows.
-        beyond: From these to the farthest new row, [K].
+        calibrated_range: Lowest and highest of the calibration's own rows.
+        excess: From these to the farthest new row, [K].
         growth: Of an arm of this length over that difference, [m].
     """
 
     column: str
     rows: tuple[float, float]
-    seen: tuple[float, float]
-    beyond: float
+    calibrated_range: tuple[float, float]
+    excess: float
     growth: float
 
 
@@ -100,12 +108,12 @@ class CheckResult:
 
     rows: Dataset
     wide: SolvedModel
-    noise: Noise
+    noise: NewRowNoise
     residual: np.ndarray
     first: Alarm
     causes: tuple[Cause, ...]
     rest: Alarm
-    question: Question
+    question: NewRowsQuestion
     error: Bounds | None
     tolerance: float | None
     unknowns: WideModel
@@ -130,13 +138,13 @@ class CheckResult:
         return self.error.low <= self.tolerance
 
 
-def asked(
+def new_rows_question(
     wide: SolvedModel,
     rows: Dataset,
-    noise: Noise,
+    noise: NewRowNoise,
     unknown: np.ndarray | None = None,
-    wandering: Wandering | None = None,
-) -> Question:
+    wandering: WanderProcesses | None = None,
+) -> NewRowsQuestion:
     """New rows as a question to a wide model; those that are held out do not count.
 
     Args:
@@ -149,7 +157,7 @@ def asked(
     scale, tails = noise.core
     held_out = rows.test if rows.origin.split_given else np.zeros(len(rows), dtype=bool)
     numbers = np.array([channel.size for channel in rows.channels])
-    return Question(
+    return NewRowsQuestion(
         problem=problem(wide.model, rows),
         theta=wide.theta,
         covariance=wide.covariance,
@@ -181,13 +189,13 @@ def check(
         MeasurementError: a row's station is none of those that were calibrated, nothing can be said of a tolerance, or rows
             cannot tell where something is that nobody knows.
     """
-    noise = known_noise(saved, rows, new_instrument=frames is not None)
+    noise = new_row_noise(saved, rows, new_instrument=frames is not None)
     rows = replace(rows, covariates=saved.completed(rows.covariates, len(rows)))
-    unknowns = wide_of(widened(saved.doubted), rows, frames)
+    unknowns = wide_model(widened(saved.doubted), rows, frames)
     wide = unknowns.solved
     shared = wandering(saved.wanders, wide.model.robot, rows.readings, saved.ranges) if saved.wanders else None
-    start = question = asked(wide, rows, noise, unknowns.unknown, shared)
-    visible, unseen = seen_by(start, suspects(wide, rows, unknowns.new))
+    start = question = new_rows_question(wide, rows, noise, unknowns.unknown, shared)
+    visible, unseen = visible_hypotheses(start, suspects(wide, rows, unknowns.new))
     first = rest = alarm(question, visible)
     causes: list[Cause] = []
     remaining = list(visible)
@@ -197,7 +205,7 @@ def check(
         remaining = [s for s in remaining if s is not cause.suspect]
         rest = alarm(question, remaining)
     residual = start.problem.residual(with_unknowns(start))
-    taken = taken_up(start.at(wide.theta)[1][:, unknowns.unknown])
+    taken = rank_of_unknowns(start.at(wide.theta)[1][:, unknowns.unknown])
     error = error_of(rows, residual, noise.sigma, ~start.dropped, taken)
     if tolerance is not None and error is None:
         raise MeasurementError(
@@ -227,13 +235,13 @@ def _heat(saved: SavedModel, rows: Dataset) -> Heat | None:
     for name, (low, high) in saved.seen.items():
         values = rows.covariates.get(name, np.zeros(0))
         beyond = float(np.nanmax(beyond_heat({name: values}, {name: (low, high)}), initial=0.0))
-        if beyond > ASIDE * (high - low):
+        if beyond > RECORDED_MARGIN * (high - low):
             ends = float(np.nanmin(values)), float(np.nanmax(values))
             outside.append(Heat(name, ends, (low, high), beyond, EXPANSION * beyond * saved.span))
-    return max(outside, key=lambda heat: heat.beyond, default=None)
+    return max(outside, key=lambda heat: heat.excess, default=None)
 
 
-def with_unknowns(question: Question) -> np.ndarray:
+def with_unknowns(question: NewRowsQuestion) -> np.ndarray:
     """Coefficients (K,) of the calibration as it is, with what only the new rows tell fitted to them."""
     if not question.unknown.any():
         return question.theta
@@ -241,16 +249,16 @@ def with_unknowns(question: Question) -> np.ndarray:
     return likely(replace(question, covariance=np.diag(free))).theta
 
 
-def seen_by(
-    question: Question, suspects_asked: Sequence[Hypothesis]
+def visible_hypotheses(
+    question: NewRowsQuestion, suspects_asked: Sequence[Hypothesis]
 ) -> tuple[tuple[Hypothesis, ...], tuple[Hypothesis, ...]]:
     """Suspects that rows can show, and those that unknowns hide: the base, say, where the points around it are unknown."""
     if not question.unknown.any():
         return tuple(suspects_asked), ()
     _, J = question.at(question.theta)
     U = J[:, question.unknown]
-    before = taken_up(U)
-    visible = [taken_up(np.hstack([U, J @ suspect.directions])) > before for suspect in suspects_asked]
+    before = rank_of_unknowns(U)
+    visible = [rank_of_unknowns(np.hstack([U, J @ suspect.directions])) > before for suspect in suspects_asked]
     return (
         tuple(s for s, seen in zip(suspects_asked, visible, strict=True) if seen),
         tuple(s for s, seen in zip(suspects_asked, visible, strict=True) if not seen),
@@ -258,15 +266,19 @@ def seen_by(
 
 
 def _next(
-    saved: SavedModel, unknowns: WideModel, question: Question, suspects_left: Sequence[Hypothesis], rows: Dataset
-) -> tuple[Cause, Question]:
+    saved: SavedModel,
+    unknowns: WideModel,
+    question: NewRowsQuestion,
+    suspects_left: Sequence[Hypothesis],
+    rows: Dataset,
+) -> tuple[Cause, NewRowsQuestion]:
     """The most probable cause of what the rows show, and the question with this cause allowed for."""
     explanations = []
     for suspect in suspects_left:
         free = question.with_moved(suspect, suspect.sizes[-1])
         place = likely(free)
         B = place.J @ suspect.directions
-        before = replace(place, known=place.J @ question.covariance @ place.J.T + place.shared)
+        before = replace(place, known_covariance=place.J @ question.covariance @ place.J.T + place.shared)
         support = evidence(before, question.times, B, suspect.sizes)
         size = min(ACCEPTED_SIZE_FACTOR * suspect.sizes[support.best], suspect.sizes[-1])
         # Another moved part looks like larger noise: the noise stays as known until it is itself the best explanation.
@@ -298,5 +310,5 @@ def _next(
     if cause.suspect is None:
         return cause, freed
     others = alike(freed, cause.suspect, question, suspects_left)
-    configurations = telling(saved, unknowns, freed, others)
+    configurations = deciding_configurations(saved, unknowns, freed, others)
     return replace(cause, alike=tuple(s.words for s, _ in others), telling=configurations), freed

@@ -17,12 +17,12 @@ from aridcal.jobs.calibrate.folder import finite, frames, parameters, residual_c
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.maintain.checking import CheckResult
-from aridcal.jobs.maintain.outcomes import RepairOutcomes
-from aridcal.jobs.maintain.repair import Repaired
+from aridcal.jobs.maintain.repair import Repair
+from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes
 from aridcal.system.errors import AridcalError
 from aridcal.system.reading.regular_files import RESULT, read_file
 
-UNNAMED = "unknown"
+UNNAMED_KIND = "unknown"
 """Kind of an effect of which the calibration before keeps coefficients alone."""
 
 
@@ -54,7 +54,7 @@ def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Check
 
 
 def document(
-    outcomes: RepairOutcomes, checked: CheckResult, mended: Repaired, parents: dict[str, Any], before: dict[str, Any]
+    outcomes: RepairOutcomes, checked: CheckResult, mended: Repair, parents: dict[str, Any], before: dict[str, Any]
 ) -> dict[str, Any]:
     """All figures of a repair: those of every calibration, on the new rows, and what moved.
 
@@ -145,7 +145,7 @@ def _effects(before: Sequence[dict[str, Any]], final: SolvedModel) -> Iterator[d
     for name, k in indices.items():
         c = final.model.coefficients[k]
         yield {
-            "kind": UNNAMED,
+            "kind": UNNAMED_KIND,
             "where": c.where,
             "motion": [c.component],
             "covariates": list(c.basis.of),

@@ -13,7 +13,7 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.engine.instruments.setup import TIP
-from aridcal.engine.model.model import Frames, Model
+from aridcal.engine.model.model import LabelledFrames, Model
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.wander import zero_of
 from aridcal.jobs.calibrate.saved_model import SolvedModel
@@ -147,7 +147,10 @@ def effect_in_words(where: str, of: Sequence[str]) -> str:
 
 
 def _of_frames(model: Model) -> Iterator[Coefficient]:
-    frames: tuple[tuple[str, Frames], ...] = (("world_base", model.world_base), ("tip_target", model.tip_target))
+    frames: tuple[tuple[str, LabelledFrames], ...] = (
+        ("world_base", model.world_base),
+        ("tip_target", model.tip_target),
+    )
     for where, placements in frames:
         for label, _ in placements:
             yield from (Coefficient(where, component, station=label) for component in FRAME_COMPONENTS)

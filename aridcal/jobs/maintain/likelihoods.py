@@ -29,9 +29,9 @@ from scipy.stats import f as f_distribution
 
 from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.tails import log_density, weights
-from aridcal.engine.trust.wander import Wandering, zero_of
+from aridcal.engine.trust.wander import WanderProcesses, zero_of
 from aridcal.jobs.maintain.hypotheses import Hypothesis
-from aridcal.jobs.maintain.realign import frame_start
+from aridcal.jobs.maintain.realignment import frame_start
 
 NOISE_FACTORS = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 6.0, 10.0)
 """Times the known noise that new rows may scatter by: another day, another operator, ten times a broken instrument."""
@@ -43,7 +43,7 @@ _OTHERS = len(NOISE_FACTORS) - 1
 LOG_WEIGHTS = np.log(np.r_[PRIOR_OF_KNOWN_NOISE, np.full(_OTHERS, (1.0 - PRIOR_OF_KNOWN_NOISE) / _OTHERS)])
 """Logarithms of the prior probabilities of :data:`NOISE_FACTORS`."""
 
-MOST_STEPS = 30
+MOST_MODE_STEPS = 30
 """Gauss-Newton steps at the most; a zero that is off by a radian takes seven."""
 
 GROSS_RATIO = 1e4
@@ -64,7 +64,7 @@ LEAST_SINGULAR_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
-class Question:
+class NewRowsQuestion:
     """New rows asked about a calibration.
 
     Attributes:
@@ -91,7 +91,7 @@ class Question:
     begin: np.ndarray
     unknown: np.ndarray
     tails: np.ndarray
-    wandering: Wandering | None = None
+    wandering: WanderProcesses | None = None
 
     @property
     def counted(self) -> np.ndarray:
@@ -134,7 +134,7 @@ class Question:
             covariance += Z[:, None] * variance[np.ix_(row, row)] * Z
         return covariance
 
-    def with_moved(self, suspect: Hypothesis, size: float) -> Question:
+    def with_moved(self, suspect: Hypothesis, size: float) -> NewRowsQuestion:
         """The question with a suspect free to change, by a prior of this size."""
         D, begin = suspect.directions, self.begin
         covariance = self.covariance + size**2 * D @ D.T
@@ -175,7 +175,7 @@ class PosteriorMode:
         theta: Shape (K,).
         r: Residuals of the rows about the calibration, to first order about ``theta``, in each row's own sigmas, shape (n,).
         J: Columns there, shape (n, K).
-        known: Covariance of r that is not noise, J Sigma J' and what follows, shape (n, n).
+        known_covariance: Covariance of r that is not noise, J Sigma J' and what follows, shape (n, n).
         shared: Of what the model leaves that neighbouring rows share, shape (n, n).
         root: Inverse of each row's own sigma in that of its channel, shape (n,); 1 without tails.
         beyond: Logarithm of what tails make of the density of normal noise, for each of :data:`NOISE_FACTORS`.
@@ -184,7 +184,7 @@ class PosteriorMode:
     theta: np.ndarray
     r: np.ndarray
     J: np.ndarray
-    known: np.ndarray
+    known_covariance: np.ndarray
     shared: np.ndarray
     root: np.ndarray
     beyond: np.ndarray
@@ -192,7 +192,7 @@ class PosteriorMode:
     @cached_property
     def spectrum(self) -> tuple[np.ndarray, np.ndarray]:
         """Variances (n,) of r without noise, and their axes in columns (n, n): the same for every noise."""
-        variances, axes = np.linalg.eigh(self.known)
+        variances, axes = np.linalg.eigh(self.known_covariance)
         return np.maximum(variances, 0.0), axes
 
     def whitened(self, values: np.ndarray, times: float) -> np.ndarray:
@@ -210,7 +210,7 @@ def scaled_to(values: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     return np.asarray((values.T / sigma).T)
 
 
-def likely(question: Question, theta: np.ndarray | None = None) -> PosteriorMode:
+def likely(question: NewRowsQuestion, theta: np.ndarray | None = None) -> PosteriorMode:
     r"""The most likely coefficients, by Gauss-Newton steps in the space of the rows.
 
     .. math:: \theta = \theta_0 + \Sigma J^T (k^2 I + J \Sigma J^T)^{-1} (r + J (\theta - \theta_0))
@@ -226,7 +226,7 @@ def likely(question: Question, theta: np.ndarray | None = None) -> PosteriorMode
     which, size, tails = question.of_channels
     has_tails = bool(np.isfinite(tails).any())
     weight = np.ones(len(size))
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_MODE_STEPS):
         r, J = question.at(theta)
         root = np.sqrt(weight)[which]
         r, J = root * (r + J @ (theta - start)), root[:, None] * J
@@ -266,10 +266,10 @@ def _beyond(squares: np.ndarray, weight: np.ndarray, size: np.ndarray, tails: np
     return np.asarray(np.where(np.isfinite(tails), each, 0.0).sum(axis=1))
 
 
-def covariance_of(question: Question, place: PosteriorMode) -> np.ndarray:
+def covariance_of(question: NewRowsQuestion, place: PosteriorMode) -> np.ndarray:
     """Covariance of the most likely coefficients, shape (K, K); Joseph's form, which rounding cannot make negative."""
     P = question.covariance
-    S = question.times**2 * np.eye(len(place.r)) + place.known
+    S = question.times**2 * np.eye(len(place.r)) + place.known_covariance
     gain = np.linalg.solve(S, place.J @ P).T
     left = np.eye(len(P)) - gain @ place.J
     return np.asarray(left @ P @ left.T + gain @ (question.times**2 * np.eye(len(S)) + place.shared) @ gain.T)
@@ -304,7 +304,7 @@ class Alarm:
         return self.squares / self.numbers
 
 
-def alarm(question: Question, suspects: Sequence[Hypothesis]) -> Alarm:
+def alarm(question: NewRowsQuestion, suspects: Sequence[Hypothesis]) -> Alarm:
     r"""Test the residual as a whole, and along what each suspect would do to it.
 
     The whole: :math:`r^T S_0^{-1} r \sim \chi^2_n`. Along a suspect: the squares that its d directions take up,
@@ -326,11 +326,11 @@ def alarm(question: Question, suspects: Sequence[Hypothesis]) -> Alarm:
     return replace(of_mean, p_value=float(sum(p * value for p, value in per_process) / sum(p for p, _ in per_process)))
 
 
-def _alarm(question: Question, suspects: Sequence[Hypothesis]) -> Alarm:
+def _alarm(question: NewRowsQuestion, suspects: Sequence[Hypothesis]) -> Alarm:
     """The test with the mean covariance of what rows share."""
     place = likely(question)
     z = place.whitened(place.r, question.times)
-    squares, numbers = float(z @ z), max(len(z) - taken_up(place.J[:, question.unknown]), 1)
+    squares, numbers = float(z @ z), max(len(z) - rank_of_unknowns(place.J[:, question.unknown]), 1)
     smallest = tail(squares, numbers, question.freedom)
     for suspect in suspects:
         squares_along, count = _squares_along(place.whitened(place.J @ suspect.directions, question.times), z)
@@ -339,7 +339,7 @@ def _alarm(question: Question, suspects: Sequence[Hypothesis]) -> Alarm:
     return Alarm(min(1.0, 2.0 * smallest), squares, numbers)
 
 
-def taken_up(columns: np.ndarray) -> int:
+def rank_of_unknowns(columns: np.ndarray) -> int:
     """Rank of the columns of unknowns, shape (n, u): so many numbers they fit whatever was measured."""
     sizes = np.linalg.norm(columns, axis=0)
     shaped = columns[:, sizes > 0.0] / sizes[sizes > 0.0]
@@ -363,7 +363,7 @@ def _squares_along(B: np.ndarray, z: np.ndarray) -> tuple[float, int]:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class LogDensities:
     """Logarithms of the density of the rows for each size s and each noise k.
 
     Attributes:
@@ -383,7 +383,7 @@ class Evidence:
         return int(np.argmax(logsumexp(self.density + LOG_WEIGHTS, axis=1)))
 
 
-def evidence(place: PosteriorMode, times: float, B: np.ndarray, sizes: tuple[float, ...]) -> Evidence:
+def evidence(place: PosteriorMode, times: float, B: np.ndarray, sizes: tuple[float, ...]) -> LogDensities:
     """Density of the rows after a change along columns B, for each of its sizes and each noise.
 
     Args:
@@ -405,4 +405,4 @@ def evidence(place: PosteriorMode, times: float, B: np.ndarray, sizes: tuple[flo
             grown = (size * w) ** 2
             squares = float(z @ z) - float(np.sum(along * grown / (1.0 + grown)))
             density[k, number] = constant - 0.5 * squares - 0.5 * float(np.sum(np.log1p(grown))) + place.beyond[number]
-    return Evidence(density)
+    return LogDensities(density)

@@ -12,21 +12,21 @@ from aridcal.engine.corrections.labels import label_in
 from aridcal.engine.corrections.regional_kind import labels_of
 from aridcal.engine.fit.tails import Tails
 from aridcal.engine.instruments.channels import Channels
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import TIP, Instruments
-from aridcal.engine.robot.drive import NOTHING
+from aridcal.engine.robot.drive import NO_STATEMENTS
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import REFERRING, Campaign, Frames, RobotSettings
 from aridcal.files.counting import check_joints
 from aridcal.files.instrument_settings import InstrumentSettings
 from aridcal.files.orientations import column_of
-from aridcal.files.quantities import POSITION
-from aridcal.files.read import ONE_TARGET, load_measurements, own_target
+from aridcal.files.quantities import POSITION_COLUMNS
+from aridcal.files.read import ONE_TARGET, default_target, load_measurements
 from aridcal.files.tables import AnyTable, read_tables
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.saved_model import SavedModel
-from aridcal.system.errors import CampaignError, MeasurementError, listed
+from aridcal.system.errors import CampaignError, MeasurementError, name_list
 from aridcal.system.reading.user_names import check_path
 
 FEWEST_NEW_ROWS = 3
@@ -68,7 +68,7 @@ class NewRows:
 
 
 @dataclass(frozen=True)
-class Noise:
+class NewRowNoise:
     """Noise of the rows, as declared or as the calibration's own rows scattered.
 
     Attributes:
@@ -89,7 +89,7 @@ class Noise:
         return np.array(scale), np.array([np.inf if t is None else t.freedom for t in tails])
 
 
-def freedom_of(noise: Noise, counts: np.ndarray) -> float:
+def freedom_of(noise: NewRowNoise, counts: np.ndarray) -> float:
     r"""Degrees of freedom of a mean square over all channels: :math:`n^2 / \sum_c n_c^2 / \nu_c` (Satterthwaite 1946).
 
     Args:
@@ -146,7 +146,7 @@ def _refuse_unknown_labels(saved: SavedModel, rows: Dataset) -> None:
     if strangers:
         what = f"station {strangers[0]!r} is none" if strangers[0] else "the rows' `station` is none"
         raise MeasurementError(
-            f"{rows.title}: {what} of those by which the calibration's constants vary ({listed(allowed)}), and what it "
+            f"{rows.title}: {what} of those by which the calibration's constants vary ({name_list(allowed)}), and what it "
             "deviates by is not known; take rows of these, or calibrate again with rows of all"
         )
 
@@ -161,7 +161,7 @@ def _other(saved: SavedModel, path: Path) -> Campaign:
             f"{path}: robot.tip: {campaign.robot.tip!r} is not the tip that was calibrated, {tip!r}; delete the key `robot`"
         )
     calibrated = saved.final.model.robot.stated
-    if campaign.robot.stated not in (NOTHING, calibrated):
+    if campaign.robot.stated not in (NO_STATEMENTS, calibrated):
         raise CampaignError(
             f"{path}: robot.joints and robot.coupled: are not those that were calibrated; delete the key `robot`"
         )
@@ -197,7 +197,7 @@ def _own(saved: SavedModel, table: AnyTable) -> Campaign:
             "`aridcal identify` again"
         )
     robot, settings = saved.final.model.robot, saved.measurements
-    position_columns = {column_of(name, settings, robot.readings) for name in POSITION}
+    position_columns = {column_of(name, settings, robot.readings) for name in POSITION_COLUMNS}
     joints = [settings.columns.get(name, name) for name in robot.readings]
     names = set(read_tables([table], None, saved.limits.table, settings.table.dialect, joints).names)
     per_target = saved.frames_by != "station"
@@ -223,10 +223,10 @@ def _with_targets(saved: SavedModel, rows: Dataset, new_instrument: bool) -> Dat
     """
     labels = [label for label, _ in saved.final.model.tip_target]
     if rows.labels.target is None and not rows.direct and new_instrument:
-        names = [own_target(b.traits, b.name) for b in rows.blocks]
+        names = [default_target(b.traits, b.name) for b in rows.blocks]
         rows = rows.with_labels(target=np.array(names)[rows.labels.block])
     if rows.labels.target is None and saved.frames_by != "station":
-        several = listed([str(label) for label in labels])
+        several = name_list([str(label) for label in labels])
         raise MeasurementError(
             f"{rows.title}: the calibration has several targets ({several}); add a column `target` that says which each row is of"
         )
@@ -252,7 +252,7 @@ def _plain(rows: Dataset) -> Dataset:
     return rows
 
 
-def known_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False) -> Noise:
+def new_row_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False) -> NewRowNoise:
     """Noise of new rows: what they or their own campaign state, else what the calibration's rows of that kind scattered by.
 
     Args:
@@ -279,12 +279,12 @@ def known_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False) 
             )
         noises.append(entry or (1.0, np.inf, None))
     sigma, freedom, tails = zip(*noises, strict=True)
-    return Noise(np.maximum(sigma, LEAST_SIGMA), np.array(freedom), tails)
+    return NewRowNoise(np.maximum(sigma, LEAST_SIGMA), np.array(freedom), tails)
 
 
 def _channels_of(kind: str) -> Channels:
     """Channels of a kind."""
-    return KINDS[kind].channels
+    return MEASUREMENT_KINDS[kind].channels
 
 
 def _scatter(saved: SavedModel) -> dict[tuple[str, str], tuple[float, float, Tails | None]]:
@@ -292,7 +292,7 @@ def _scatter(saved: SavedModel) -> dict[tuple[str, str], tuple[float, float, Tai
     sigma, freedom = saved.scatter
     of_target = zip(("position", "rotation"), sigma, freedom, strict=True)
     records = saved.record.get("scatter", {})
-    tracked = [name for name, kind in KINDS.items() if kind.tracked]
+    tracked = [name for name, kind in MEASUREMENT_KINDS.items() if kind.tracked]
     scatter = {(kind, name): (s, f, _tails(records.get(name, {}))) for name, s, f in of_target for kind in tracked}
     for kind, channels in saved.record.get("scatter_of_kinds", {}).items():
         for name, record in channels.items():

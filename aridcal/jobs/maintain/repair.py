@@ -16,11 +16,11 @@ from aridcal.jobs.maintain.checking import Cause, CheckResult
 from aridcal.jobs.maintain.hypotheses import Hypothesis, widened
 from aridcal.jobs.maintain.likelihoods import covariance_of, likely
 from aridcal.jobs.maintain.unknowns import Place, WideModel
-from aridcal.system.errors import MeasurementError, listed
+from aridcal.system.errors import MeasurementError, name_list
 
 
 @dataclass(frozen=True)
-class Change:
+class RepairChange:
     """By how much something moved.
 
     Attributes:
@@ -39,7 +39,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Repaired:
+class Repair:
     """A calibration after a repair.
 
     Attributes:
@@ -49,11 +49,11 @@ class Repaired:
     """
 
     saved: SavedModel
-    changes: tuple[Change, ...]
+    changes: tuple[RepairChange, ...]
     residual: np.ndarray
 
 
-def changes(checked: CheckResult) -> tuple[Change, ...]:
+def changes(checked: CheckResult) -> tuple[RepairChange, ...]:
     """Size of each move: of new frames first, then of the causes."""
     solution = likely(checked.question)
     moved = solution.theta - checked.wide.theta
@@ -65,11 +65,11 @@ def changes(checked: CheckResult) -> tuple[Change, ...]:
         indices = cause.suspect.touched
         names = tuple(model.names[k] for k in indices)
         units = tuple(unit_of(model, int(k)) for k in indices)
-        moves.append(Change(cause, names, units, moved[indices], std[indices]))
+        moves.append(RepairChange(cause, names, units, moved[indices], std[indices]))
     return (*_anew(checked, solution.theta, std), *moves)
 
 
-def _anew(checked: CheckResult, theta: np.ndarray, std: np.ndarray) -> Iterator[Change]:
+def _anew(checked: CheckResult, theta: np.ndarray, std: np.ndarray) -> Iterator[RepairChange]:
     """Changes of frames that the rows' own campaign calls new, along and about the axes of the old frame."""
     unknowns = checked.unknowns
     model = unknowns.solved.model
@@ -86,7 +86,7 @@ def _anew(checked: CheckResult, theta: np.ndarray, std: np.ndarray) -> Iterator[
         words = "the base (or the instrument)" if where == "world_base" else "the tool (or the target on it)"
         name = where if label is None else f"{where}[{label}]"
         fitted = [i for i, k in enumerate(indices) if unknowns.unknown[k]]
-        yield Change(
+        yield RepairChange(
             Cause("new", name, words, 1.0),
             tuple(model.names[indices[i]] for i in fitted),
             tuple("rad" if FRAME_COMPONENTS[i] in ANGULAR else "m" for i in fitted),
@@ -111,7 +111,7 @@ def unit_of(model: Model, k: int) -> str:
     return "m" if c.component in ("x", "y", "z", "t1", "t2", "a", "d") else "rad"
 
 
-def repaired(saved: SavedModel, checked: CheckResult) -> Repaired:
+def repair_calibration(saved: SavedModel, checked: CheckResult) -> Repair:
     """The calibration with what moved fitted to the new rows.
 
     Args:
@@ -143,7 +143,7 @@ def repaired(saved: SavedModel, checked: CheckResult) -> Repaired:
         if cause.telling and cause.probability < REPAIR_PROBABILITY:
             raise MeasurementError(
                 f"{where}: these rows cannot tell {cause.words} (probability {100 * cause.probability:.0f} %) from "
-                f"{listed(cause.alike)}, and the wrong repair would be wrong elsewhere; measure what would tell, too: "
+                f"{name_list(cause.alike)}, and the wrong repair would be wrong elsewhere; measure what would tell, too: "
                 "`aridcal check RESULTS ROWS --poses poses.csv` writes it"
             )
     solution = likely(checked.question)
@@ -155,7 +155,7 @@ def repaired(saved: SavedModel, checked: CheckResult) -> Repaired:
     )
     residual = checked.question.problem.residual(solution.theta)
     # The repaired calibration is the mean over causes that could not be told apart; its covariance holds their differences.
-    return Repaired(replace(saved, geometric=geometric, final=final, rivals=()), changes(checked), residual)
+    return Repair(replace(saved, geometric=geometric, final=final, rivals=()), changes(checked), residual)
 
 
 REPAIR_PROBABILITY = 0.8

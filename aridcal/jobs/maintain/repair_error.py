@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.jobs.maintain.checking import CheckResult
-from aridcal.jobs.maintain.likelihoods import Question, likely
+from aridcal.jobs.maintain.likelihoods import NewRowsQuestion, likely
 
-FOLDS = 20
+LEFT_OUT_PARTS = 20
 """Parts of the rows that are left out in turn: single rows up to 20 of them; more parts only take longer."""
 
 
-def left_out(checked: CheckResult, theta: np.ndarray) -> np.ndarray:
+def left_out_residuals(checked: CheckResult, theta: np.ndarray) -> np.ndarray:
     """Residuals of the rows with what moved fitted to the others alone, shape (N, m).
 
     What moved was named with all rows: this is the error of its size, not of its name. NaN for rows that did not count, and for
@@ -26,7 +26,7 @@ def left_out(checked: CheckResult, theta: np.ndarray) -> np.ndarray:
     question = checked.question
     counting = np.flatnonzero(~question.dropped)
     residual = np.full((len(checked.rows), len(question.sigma)), np.nan)
-    for part in np.array_split(counting, min(FOLDS, len(counting))):
+    for part in np.array_split(counting, min(LEFT_OUT_PARTS, len(counting))):
         dropped = question.dropped.copy()
         dropped[part] = True
         others = replace(question, dropped=dropped)
@@ -36,7 +36,7 @@ def left_out(checked: CheckResult, theta: np.ndarray) -> np.ndarray:
     return residual
 
 
-def _alone(question: Question, others: Question, theta: np.ndarray) -> bool:
+def _alone(question: NewRowsQuestion, others: NewRowsQuestion, theta: np.ndarray) -> bool:
     """True where an unknown is measured by the rows that were left out, and by no other."""
     unknown = question.unknown
     pull_all, pull_others = (np.abs(q.at(theta)[1][:, unknown]).max(axis=0, initial=0.0) for q in (question, others))

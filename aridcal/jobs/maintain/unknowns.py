@@ -13,16 +13,16 @@ import pinocchio as pin
 
 from aridcal.engine.corrections.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.fit.thing_starts import NominalRows, beginning
+from aridcal.engine.fit.thing_starts import NominalRows, start_values
 from aridcal.engine.instruments.setup import TIP
 from aridcal.engine.model.model import ONE_FRAME, Model
-from aridcal.engine.model.predictions import measured, rows_of_data
+from aridcal.engine.model.predictions import observations_of, rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Frames as FrameChoice
-from aridcal.files.campaign import placed
+from aridcal.files.campaign import frame_values
 from aridcal.files.read import ONE_TARGET
 from aridcal.jobs.calibrate.saved_model import SolvedModel
-from aridcal.jobs.maintain.realign import frame_start
+from aridcal.jobs.maintain.realignment import frame_start
 from aridcal.system.errors import CampaignError
 
 SIGMA_OF_UNKNOWNS = 1.0
@@ -64,7 +64,7 @@ class WideModel:
         return replace(c, station=None) if mine else c
 
 
-def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = None) -> WideModel:
+def wide_model(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = None) -> WideModel:
     """The wide model of new rows.
 
     Args:
@@ -137,7 +137,7 @@ def _as_declared(model: Model, where: str, frames: FrameChoice, rows: Dataset) -
             "delete the key"
         )
     if not settings.identify or {"xyz", "rpy"} & settings.model_fields_set:
-        places[label] = placed(settings).at
+        places[label] = frame_values(settings).at
     renewed = tuple(places.items())
     changed = replace(model, world_base=renewed) if where == "world_base" else replace(model, tip_target=renewed)
     return changed, (where, label), settings.identify
@@ -151,7 +151,7 @@ def _observed(c: Coefficient, rows: Dataset) -> bool:
 def _with_starts(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]) -> Model:
     """The model with new frames and things where the rows have them."""
     things = Model(model.robot, (), instruments=rows.instruments, routes=model.routes)
-    readings = measured(things, rows)
+    readings = observations_of(things, rows)
     anywhere = ("world_base", None) in new
     arm = replace(model, tip_target=ONE_FRAME, world_base=ONE_FRAME if anywhere else model.world_base)
     arm, theta_arm = _without_target(arm, theta, anywhere)
@@ -169,7 +169,7 @@ def _with_starts(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]
         len(rows), dtype=int
     )  # the base stands in one place for all new rows, or is in R and p already
     world = None if anywhere else pin.SE3.Identity()
-    starts = beginning(NominalRows(rows, readings, R, p, number, hints, known_frames, one_world, world))
+    starts = start_values(NominalRows(rows, readings, R, p, number, hints, known_frames, one_world, world))
     return replace(
         model,
         world_base=((None, starts.world_base[0]),) if anywhere else model.world_base,

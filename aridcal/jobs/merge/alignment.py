@@ -21,7 +21,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.jobs.merge.clocks import Clocks
 from aridcal.jobs.merge.log import Log
-from aridcal.jobs.merge.pairs import Pairs, within
+from aridcal.jobs.merge.pairs import Pairs, window_samples
 from aridcal.system.errors import MeasurementError
 
 MOST_SAMPLES_PER_MOVE = 60
@@ -30,7 +30,7 @@ MOST_SAMPLES_PER_MOVE = 60
 LONGEST_MOVE = 60.0
 """Moves between standstills further apart are left out, [s]: something else went on there."""
 
-TUKEY = 4.685
+ALIGNMENT_TUKEY = 4.685
 """Tukey's biweight with this has 95 % efficiency for Gaussian noise."""
 
 LEAST_SLOPE = 0.3
@@ -60,7 +60,7 @@ LEAST_JUMP = 0.02
 
 
 @dataclass(frozen=True)
-class Placed:
+class TrackerAlignment:
     """The robot and its target as the tracker sees them, nominal: x = R_w (p + R l) + t_w."""
 
     turn: np.ndarray
@@ -88,7 +88,7 @@ class Moves:
     weight: np.ndarray
 
 
-def placed(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[Placed, np.ndarray]:
+def align_frames(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[TrackerAlignment, np.ndarray]:
     """Frames that bring the nominal robot's targets to the measured ones.
 
     Args:
@@ -111,12 +111,12 @@ def placed(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[Placed, np.ndarr
     return frames, residual
 
 
-def _best_frames(robot: Robot, q: np.ndarray, m: np.ndarray) -> Placed:
+def _best_frames(robot: Robot, q: np.ndarray, m: np.ndarray) -> TrackerAlignment:
     """Frames in closed form: of several starts the one that leaves least."""
     R, p = tip_frames(robot, q)
     one_frame = np.zeros(len(m), dtype=int)
     candidates = [
-        Placed(start.world_base[0].rotation, start.world_base[0].translation, start.tip_target[0].translation)
+        TrackerAlignment(start.world_base[0].rotation, start.world_base[0].translation, start.tip_target[0].translation)
         for start in start_frames(PoseRows(R, p, None, m, one_frame, one_frame), None, None, (pin.SE3.Identity(),))
     ]
     return min(candidates, key=lambda frames: float(np.median(np.linalg.norm(m - frames.target(robot, q), axis=1))))
@@ -127,7 +127,7 @@ def window_means(log: Log, values: np.ndarray, begin: np.ndarray, end: np.ndarra
     return np.array(
         [
             values[rows].mean(axis=0) if rows.stop > rows.start else values[min(rows.start, len(values) - 1)]
-            for rows in (within(log.time, a, b) for a, b in zip(begin, end, strict=True))
+            for rows in (window_samples(log.time, a, b) for a, b in zip(begin, end, strict=True))
         ]
     )
 
@@ -150,7 +150,7 @@ def improved(
         MeasurementError: too few moves tell anything.
     """
     begin, end = clocks.joints(standstills.begin), clocks.joints(standstills.end)
-    frames, residual = placed(
+    frames, residual = align_frames(
         robot, window_means(joints, q, begin, end), window_means(tracker, m, standstills.begin, standstills.end)
     )
     rows, share, move = _samples(tracker, standstills)
@@ -188,7 +188,7 @@ def _samples(tracker: Log, standstills: Pairs) -> tuple[np.ndarray, np.ndarray, 
     """Samples between standstills, :data:`MOST_SAMPLES_PER_MOVE` a move: indices, share of its time, and index of the move."""
     rows, share, move = [], [], []
     for k in range(len(standstills) - 1):
-        between = within(tracker.time, standstills.end[k], standstills.begin[k + 1])
+        between = window_samples(tracker.time, standstills.end[k], standstills.begin[k + 1])
         lasts = standstills.begin[k + 1] - standstills.end[k]
         count = between.stop - between.start
         if count > 0 and lasts < LONGEST_MOVE:
@@ -224,13 +224,13 @@ def _line(time: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     for _ in range(30):
         residual = delta - design @ line
         scale = max(1.4826 * few_moves * float(np.median(np.abs(residual))), 1e-9)
-        u = np.clip(residual / (TUKEY * scale), -1.0, 1.0)
+        u = np.clip(residual / (ALIGNMENT_TUKEY * scale), -1.0, 1.0)
         weight = (1.0 - u * u) ** 2
         normal = design.T @ (weight[:, None] * design)
         line = np.linalg.solve(normal + np.diag([1e-12, 1e-12]), design.T @ (weight * delta))
     # of an M-estimate (Huber 1981, section 7.6): mean square of psi over the squared mean of its slope
     residual = delta - design @ line
-    u = np.clip(residual / (TUKEY * scale), -1.0, 1.0)
+    u = np.clip(residual / (ALIGNMENT_TUKEY * scale), -1.0, 1.0)
     slope = max(float(np.mean((1 - u**2) * (1 - 5 * u**2))), LEAST_SLOPE)
     variance = float(np.sum((weight * residual) ** 2)) / max(len(time) - 2, 1) / slope**2
     return line, variance * np.linalg.inv(design.T @ design), weight

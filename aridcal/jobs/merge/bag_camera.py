@@ -94,7 +94,7 @@ def frame_of(kind: str, message: Any) -> np.ndarray:
     )
 
 
-def belongs(info_topic: str, image_topic: str) -> bool:
+def same_camera(info_topic: str, image_topic: str) -> bool:
     """Whether a topic with CameraInfo is of a topic with images: ``/cam/camera_info`` of ``/cam/image_raw/compressed``."""
     home = info_topic.rsplit("/", 1)[0]
     return image_topic.startswith(f"{home}/")

@@ -15,21 +15,21 @@ import numpy as np
 
 from aridcal.engine.robot.chain import Robot
 from aridcal.files.orientations import QUATERNION
-from aridcal.files.quantities import POSITION
+from aridcal.files.quantities import POSITION_COLUMNS
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.jobs.merge.bag_camera import IMAGES, INFO, BagCamera, CameraInfo, Take, belongs, frame_of, info_of
+from aridcal.jobs.merge.bag_camera import IMAGES, INFO, BagCamera, CameraInfo, Take, frame_of, info_of, same_camera
 from aridcal.jobs.merge.log import Log, in_order
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
-from aridcal.jobs.prepare.guesses import Asker
-from aridcal.system.errors import MeasurementError, listed, printable
+from aridcal.jobs.prepare.guesses import Chooser
+from aridcal.system.errors import MeasurementError, name_list, printable
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-ENDINGS = (".bag", ".db3", ".mcap")
+BAG_ENDINGS = (".bag", ".db3", ".mcap")
 """Of bags that are one file; a folder is one of ROS 2."""
 
-JOINTS = "sensor_msgs/msg/JointState"
+JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
     "geometry_msgs/msg/PoseStamped": lambda message: (message.pose.position, message.pose.orientation),
@@ -41,7 +41,7 @@ POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
 
 def is_bag(source: object) -> bool:
     """Tell whether what a user names is a bag."""
-    return isinstance(source, str | Path) and (Path(source).suffix.lower() in ENDINGS or Path(source).is_dir())
+    return isinstance(source, str | Path) and (Path(source).suffix.lower() in BAG_ENDINGS or Path(source).is_dir())
 
 
 def _reader(path: Path) -> AnyReader:
@@ -122,25 +122,29 @@ def joint_log(path: Path, robot: Robot) -> JointLog:
             rows.setdefault(topic, []).append((_stamp(message.header), *readings))
             arrivals.setdefault(topic, []).append(1e-9 * arrival)
 
-    _messages(path, (JOINTS,), use)
+    _messages(path, (JOINT_STATE_TYPE,), use)
     if not rows:
         lacking = [name for name in robot.readings if name not in names_seen]
-        remark = f"; its joints are {listed(sorted(names_seen))}" if names_seen else "; it has no messages of that kind"
+        remark = (
+            f"; its joints are {name_list(sorted(names_seen))}" if names_seen else "; it has no messages of that kind"
+        )
         raise MeasurementError(
             f"{path}: no JointState has positions of all joints of the chain "
-            f"({listed(lacking or list(robot.readings))} lacking in "
+            f"({name_list(lacking or list(robot.readings))} lacking in "
             f"some){remark}. Record /joint_states of this robot, or choose the --tip whose chain it is"
         )
     topic = max(rows, key=lambda name: len(rows[name]))
     log = _log_of_rows(f"{path.name}:{topic}", robot.readings, rows[topic], arrivals[topic])
     if len(rows) > 1:
         others = [name for name in rows if name != topic]
-        log = Log(log.title, log.time, log.columns, log.values, (*log.notes, f"{path.name}: {listed(others)} not used"))
+        log = Log(
+            log.title, log.time, log.columns, log.values, (*log.notes, f"{path.name}: {name_list(others)} not used")
+        )
     units = tuple("m" if kind == "prismatic" else "rad" for kind in robot.kinds)
     return JointLog(log, (units,))
 
 
-def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog | BagCamera:
+def tracker_log(path: Path, links: frozenset[str], asker: Chooser) -> TrackerLog | BagCamera:
     """The tracker's log of a bag: of the topic, or the frame of /tf, that moves and is no link of the robot; or images.
 
     Args:
@@ -171,7 +175,7 @@ def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog |
     moving = {name: found for name, found in rows.items() if len({one[1:4] for one in found}) > 1}
     images = _image_topics(path)
     if not moving and not images:
-        rest = f" that moves; of {listed(sorted(rows))} nothing does" if rows else ""
+        rest = f" that moves; of {name_list(sorted(rows))} nothing does" if rows else ""
         raise MeasurementError(
             f"{path}: no PoseStamped, PointStamped, TransformStamped or frame of /tf{rest} that is no link of the robot, and no "
             "images. Record what the tracker or the camera publishes, or name its log after the bag"
@@ -184,9 +188,9 @@ def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog |
     )
     if names[k] in images:
         return camera(path, names[k])
-    columns = (*POSITION, *QUATERNION) if len(moving[names[k]][0]) == 8 else POSITION
+    columns = (*POSITION_COLUMNS, *QUATERNION) if len(moving[names[k]][0]) == 8 else POSITION_COLUMNS
     log = _log_of_rows(f"{path.name}:{names[k]}", columns, moving[names[k]], arrivals[names[k]])
-    return TrackerLog(log, (POSITION,))
+    return TrackerLog(log, (POSITION_COLUMNS,))
 
 
 def _image_topics(path: Path) -> list[str]:
@@ -214,7 +218,7 @@ def camera(path: Path, topic: str) -> BagCamera:
 
     def use(name: str, kind: str, arrival: int, message: Any) -> None:
         if kind == INFO:
-            if belongs(name, topic):
+            if same_camera(name, topic):
                 infos.setdefault(info_of(message))
         elif name == topic:
             stamps.append(_stamp(message.header))

@@ -19,7 +19,7 @@ from aridcal.jobs.boards.camera_frames import thumbnail
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.merge.bag_camera import BagCamera, Load
 from aridcal.jobs.merge.log_files import JointLog
-from aridcal.jobs.merge.merging import TIME, Unpaired
+from aridcal.jobs.merge.log_rows import TIME_COLUMN, UnpairedStandstill
 from aridcal.jobs.merge.standstills import Standstills, span_of, standstills
 from aridcal.system.errors import MeasurementError, printable
 
@@ -27,13 +27,13 @@ MOVING_SHARE = 0.15
 """Share of the usual difference between pictures of two stops above which a picture moves: its noise is far below, and a picture
 that is a tenth of the way to the next stop blurs and shifts what is measured in it."""
 
-LEAST_DIFFERENCE = 2.0
+LEAST_GREY_DIFFERENCE = 2.0
 """[grey levels] below which pictures of two stops are alike: there is nothing in them that could move."""
 
 MOST_MOVING_SHARE = 0.5
 """Share of stops with a moving picture above which the clocks, and not the stops, are at fault."""
 
-FEWEST_ROWS = 3
+FEWEST_IMAGE_ROWS = 3
 """Fewest rows that a campaign can begin with."""
 
 
@@ -52,11 +52,11 @@ class ImageRows:
     table: pd.DataFrame
     frames: np.ndarray
     size: tuple[int, int]
-    unpaired: tuple[Unpaired, ...]
+    unpaired: tuple[UnpairedStandstill, ...]
     notices: tuple[str, ...]
 
 
-def pictured(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> ImageRows:
+def choose_images(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> ImageRows:
     """Choose an image for each standstill of the joints.
 
     Raises:
@@ -85,14 +85,14 @@ def pictured(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> I
     reasons |= _reasons_of_size({k: sizes[n] for k, n in frame_of.items() if n in sizes})
     reasons |= _reasons_of_motion(frame_of, windows, thumbnails, camera)
     rows = [k for k in frame_of if k not in reasons]
-    if len(rows) < FEWEST_ROWS:
+    if len(rows) < FEWEST_IMAGE_ROWS:
         first = next(iter(reasons.items()), None)
         because = f"; first, at {still.begin[first[0]]:.3f} s: {first[1]}" if first else ""
         raise MeasurementError(f"{camera.title}: {len(rows)} of {len(still)} standstills have an image{because}")
     readings = [_mean(log.time, q, still, margin, k) for k in rows]
-    table = pd.DataFrame(np.array(readings), columns=list(robot.readings)).assign(**{TIME: middle[rows]})
+    table = pd.DataFrame(np.array(readings), columns=list(robot.readings)).assign(**{TIME_COLUMN: middle[rows]})
     unpaired = tuple(
-        Unpaired(log.title, float(still.begin[k]), float(still.end[k]), reasons[k]) for k in sorted(reasons)
+        UnpairedStandstill(log.title, float(still.begin[k]), float(still.end[k]), reasons[k]) for k in sorted(reasons)
     )
     clock = "times of arrival" if camera.by_arrival else "stamps"
     remark = (
@@ -161,7 +161,7 @@ def _reasons_of_motion(
     readable = [n for n in frame_of.values() if n in thumbnails]
     differences = [float(np.abs(thumbnails[a] - thumbnails[b]).mean()) for a, b in pairwise(readable)]
     usual = float(np.median(differences)) if differences else 0.0
-    if usual < LEAST_DIFFERENCE:
+    if usual < LEAST_GREY_DIFFERENCE:
         return {}
 
     def differs(n: int, others: list[int]) -> bool:

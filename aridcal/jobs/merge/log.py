@@ -105,7 +105,7 @@ def _check_length(log: Log) -> None:
         )
 
 
-def seen(log: Log, place: tuple[str, ...]) -> Log:
+def without_blind_samples(log: Log, place: tuple[str, ...]) -> Log:
     """A tracker's log without samples in which it did not see its target: exact zeros, and repeated places.
 
     Args:

@@ -8,16 +8,16 @@ import numpy as np
 
 from aridcal.engine.robot.chain import Robot
 from aridcal.files.measurement_settings import ANGLES, LENGTHS, TIMES
-from aridcal.files.quantities import TURNS
+from aridcal.files.quantities import TWO_TURNS
 from aridcal.files.tables import AnyTable, Table, path_of, read_tables
 from aridcal.jobs.merge.log import Log, in_order
-from aridcal.jobs.merge.others import Others, others_of
-from aridcal.jobs.prepare.column_names import match_joints, named, positions, unit
+from aridcal.jobs.merge.other_columns import OtherColumns, other_columns
+from aridcal.jobs.prepare.column_names import match_joints, named_column, positions, unit
 from aridcal.jobs.prepare.condition_columns import COVARIATES, EPOCH
-from aridcal.jobs.prepare.dialects import dialects_of
-from aridcal.jobs.prepare.guesses import Asker
+from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.jobs.prepare.orientation_columns import sensible
-from aridcal.system.errors import MeasurementError, listed
+from aridcal.jobs.prepare.table_formats import dialects_of
+from aridcal.system.errors import MeasurementError, name_list
 
 LOG_RATES = (0.5, 2000.0)
 """Lowest and highest rate of a log, samples a second: slower ones miss whole moves, faster ones no instrument writes."""
@@ -38,7 +38,7 @@ class TrackerLog:
 
     log: Log
     places: tuple[tuple[str, ...], ...]
-    others: Others | None = None
+    others: OtherColumns | None = None
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class JointLog:
 
     log: Log
     units: tuple[tuple[str, ...], ...]
-    others: Others | None = None
+    others: OtherColumns | None = None
 
     def readings(self, units: tuple[str, ...]) -> np.ndarray:
         """Readings in SI, shape (N, columns)."""
         return np.asarray(self.log.values * [{**ANGLES, **LENGTHS}[word] for word in units])
 
 
-def read_table(source: AnyTable, asker: Asker, which: str) -> tuple[Table, str | None]:
+def read_table(source: AnyTable, asker: Chooser, which: str) -> tuple[Table, str | None]:
     """A log's table, and the column that its dates became, if it has any.
 
     Raises:
@@ -78,7 +78,7 @@ def read_table(source: AnyTable, asker: Asker, which: str) -> tuple[Table, str |
     return table, dates.name if dates is not None else None
 
 
-def joint_log(source: AnyTable, robot: Robot, asker: Asker) -> JointLog:
+def joint_log(source: AnyTable, robot: Robot, asker: Chooser) -> JointLog:
     """The joints' log of a table.
 
     Raises:
@@ -91,7 +91,8 @@ def joint_log(source: AnyTable, robot: Robot, asker: Asker) -> JointLog:
     if match is None:
         lacking = [joint for joint in robot.readings if joint not in names]
         raise MeasurementError(
-            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {listed(names)}. Name the joints' "
+            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {name_list(names)}. Name the "
+            f"joints' "
             "columns as in the URDF, or number them q1, q2, … along the chain"
         )
     columns = [match[0][joint] for joint in robot.readings]
@@ -100,13 +101,13 @@ def joint_log(source: AnyTable, robot: Robot, asker: Asker) -> JointLog:
     notes = (
         (f"{table.title}: joints by their ORDER along the chain: {', '.join(columns)}",) if match[1] == "order" else ()
     )
-    others = others_of(table, seconds, {*columns, clock}, len(columns))
+    others = other_columns(table, seconds, {*columns, clock}, len(columns))
     return JointLog(
         Log(log.title, log.time, log.columns, log.values, (*notes, *log.notes)), _units(log, columns, robot), others
     )
 
 
-def tracker_log(source: AnyTable, robot: Robot, asker: Asker) -> TrackerLog:
+def tracker_log(source: AnyTable, robot: Robot, asker: Chooser) -> TrackerLog:
     """The tracker's log of a table.
 
     Raises:
@@ -118,11 +119,11 @@ def tracker_log(source: AnyTable, robot: Robot, asker: Asker) -> TrackerLog:
     places = [family.columns for family in positions(names) if np.isfinite(sensible(table, family.columns)).any()]
     if not places:
         raise MeasurementError(
-            f"{table.title}: no columns for the target's position; call them x, y and z. Its columns are {listed(names)}"
+            f"{table.title}: no columns for the target's position; call them x, y and z. Its columns are {name_list(names)}"
         )
     columns = tuple(name for name in names if np.isfinite(table.numbers(name)[0]).any())
     log = Log(table.title, seconds, columns, sensible(table, columns))
-    others = others_of(table, seconds, {*robot.readings, clock}, len(robot.readings))
+    others = other_columns(table, seconds, {*robot.readings, clock}, len(robot.readings))
     return TrackerLog(_complete(log, table, places[0]), tuple(places), others)
 
 
@@ -142,7 +143,7 @@ def _units(log: Log, columns: list[str], robot: Robot) -> tuple[tuple[str, ...],
     if all(word in (ANGLES if turns else LENGTHS) for word, turns in zip(units, turning, strict=True)):
         return (tuple(str(word) for word in units),)
     angles = ("rad", "deg")
-    if turning.any() and float(np.abs(log.values[:, turning]).max()) > TURNS:
+    if turning.any() and float(np.abs(log.values[:, turning]).max()) > TWO_TURNS:
         angles = ("deg",)  # type: ignore[assignment]
     lengths = ("m",) if turning.all() else ("m", "mm")
     return tuple(
@@ -152,7 +153,7 @@ def _units(log: Log, columns: list[str], robot: Robot) -> tuple[tuple[str, ...],
     )
 
 
-def _clock(table: Table, dates: str | None, asker: Asker, which: str) -> tuple[str, np.ndarray]:
+def _clock(table: Table, dates: str | None, asker: Chooser, which: str) -> tuple[str, np.ndarray]:
     """The clock's column, and its times, shape (N,), [s].
 
     Raises:
@@ -161,10 +162,10 @@ def _clock(table: Table, dates: str | None, asker: Asker, which: str) -> tuple[s
     if dates is not None and dates in table.cells:
         return dates, table.numbers(dates)[0]
     spellings = next(words for quantity, _, words in COVARIATES if quantity == "time")
-    column = named(table.names, *spellings)
+    column = named_column(table.names, *spellings)
     if column is None:
         raise MeasurementError(
-            f"{table.title}: no column for the time of each sample; call it `time`. Its columns are {listed(table.names)}"
+            f"{table.title}: no column for the time of each sample; call it `time`. Its columns are {name_list(table.names)}"
         )
     values = table.numbers(column)[0]
     by_name = unit(column)

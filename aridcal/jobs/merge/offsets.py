@@ -14,8 +14,8 @@ from aridcal.jobs.merge.log import Log
 from aridcal.jobs.merge.log_files import JointLog
 from aridcal.jobs.merge.pairs import Pairs, pairs
 from aridcal.jobs.merge.standstills import Standstills, span_of
+from aridcal.jobs.prepare.campaign_proposal import SAMPLE_ROWS, STRANGE_SHARE
 from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO
-from aridcal.jobs.prepare.propose import SAMPLE_ROWS, STRANGE_SHARE
 from aridcal.jobs.prepare.units_and_angles import Sample, readings
 from aridcal.system.errors import MeasurementError
 
@@ -39,18 +39,18 @@ SAME_OFFSET = 1.5
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedCandidate:
     """A candidate, how near the nominal robot comes at the standstills that it pairs, and for how long it is contradicted."""
 
     candidate: Candidate
-    found: Pairs
+    pairs: Pairs
     share: float
     contrary: tuple[float, float]
 
 
 def best_offset(
     robot: Robot, joints: JointLog, tracker: Log, raw: np.ndarray, tracker_still: Standstills, still: Standstills
-) -> tuple[Judged, tuple[str, ...]]:
+) -> tuple[JudgedCandidate, tuple[str, ...]]:
     """The offset at which speeds are alike and the standstills fit the nominal robot.
 
     Raises:
@@ -60,7 +60,7 @@ def best_offset(
     for units in joints.units:
         tips = tip_frames(robot, joints.readings(units))[1]
         candidates_and_units += [(one, units) for one in candidates(joints.log, tips, tracker, raw)]
-    fits: list[tuple[Judged, tuple[str, ...]]] = []
+    fits: list[tuple[JudgedCandidate, tuple[str, ...]]] = []
     most_pairs = 0
     for candidate, units in candidates_and_units:
         windows_of_both = pairs(candidate.clocks, joints.log, still, tracker, tracker_still, 1.0)
@@ -74,8 +74,8 @@ def best_offset(
         turning = np.array([kind != "prismatic" for kind in robot.kinds])
         ways = readings(Sample(q, turning, m, np.zeros(len(q))), robot)
         if ways:
-            contrary = contradicted(clocks, joints.log, still, tracker, tracker_still)
-            fits.append((Judged(candidate, windows_of_both, ways[0].share, contrary), units))
+            contrary = contradiction_time(clocks, joints.log, still, tracker, tracker_still)
+            fits.append((JudgedCandidate(candidate, windows_of_both, ways[0].share, contrary), units))
     if not fits:
         if not candidates_and_units:
             raise MeasurementError(
@@ -84,8 +84,8 @@ def best_offset(
                 "alike for 20 s. Check that both are of one motion, and that the URDF is this robot's"
             )
         raise too_few(joints.log, tracker, most_pairs)
-    fullest = max(len(one.found) for one, _ in fits)
-    rivals = [one for one in fits if len(one[0].found) >= RIVAL_PAIR_SHARE * fullest]
+    fullest = max(len(one.pairs) for one, _ in fits)
+    rivals = [one for one in fits if len(one[0].pairs) >= RIVAL_PAIR_SHARE * fullest]
     best = min(rivals, key=lambda one: one[0].share)
     if best[0].share > STRANGE_SHARE:
         raise MeasurementError(
@@ -127,7 +127,7 @@ def _shared(clocks: Clocks, joints: Log, tracker: Log) -> float:
     return float(max(min(last, joints.time[-1]) - max(first, joints.time[0]), 0.0))
 
 
-def contradicted(
+def contradiction_time(
     clocks: Clocks, joints: Log, still: Standstills, tracker: Log, tracker_still: Standstills
 ) -> tuple[float, float]:
     """Time for which the target moves while the joints stand, and for which the joints move while the target stands, [s].

@@ -86,7 +86,7 @@ def pairs(
     return Pairs(*(np.array(c, dtype=kind) for c, kind in zip(columns, (int, int, float, float), strict=True)))
 
 
-def within(time: np.ndarray, begin: float, end: float) -> slice:
+def window_samples(time: np.ndarray, begin: float, end: float) -> slice:
     """Samples of a window."""
     return slice(int(np.searchsorted(time, begin)), int(np.searchsorted(time, end, "right")))
 
@@ -103,7 +103,9 @@ def settled(windows_of_both: Pairs, tracker: Log, places: np.ndarray) -> tuple[P
         The windows, later where needed, and which are settled at their end, shape (K,) bool.
     """
     begin, at_rest = windows_of_both.begin.copy(), np.ones(len(windows_of_both), dtype=bool)
-    windows = [within(tracker.time, a, b) for a, b in zip(windows_of_both.begin, windows_of_both.end, strict=True)]
+    windows = [
+        window_samples(tracker.time, a, b) for a, b in zip(windows_of_both.begin, windows_of_both.end, strict=True)
+    ]
     # a window of ten samples knows its own scatter badly: the usual one counts where it is larger
     usual_scatter = np.median([_scatter(places[rows]) for rows in windows], axis=0)
     usual_scatter = np.maximum(usual_scatter, resolution(places))

@@ -32,12 +32,12 @@ class Approaches:
         return np.asarray(np.isfinite(self.via).all(axis=1) & ~self.straight)
 
 
-def still_of(kinds: tuple[str, ...]) -> np.ndarray:
+def negligible_moves(kinds: tuple[str, ...]) -> np.ndarray:
     """Largest move of each joint that counts as none, shape (columns,), [rad] or [m]."""
     return np.array([SAME_LENGTH if kind == "prismatic" else SAME_ANGLE for kind in kinds])
 
 
-def as_they_come(readings: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
+def approach_sides(readings: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
     """Sides from which joints come where each configuration is gone to straight from the one before, shape (n, columns).
 
     0 for the first one, to which nobody knows the way; a joint that does not move keeps its side.
@@ -49,7 +49,7 @@ def as_they_come(readings: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
     sides = np.zeros_like(readings)
     for k in range(1, len(readings)):
         step = readings[k] - readings[k - 1]
-        sides[k] = np.where(np.abs(step) > still_of(kinds), np.sign(step), sides[k - 1])
+        sides[k] = np.where(np.abs(step) > negligible_moves(kinds), np.sign(step), sides[k - 1])
     return sides
 
 
@@ -69,7 +69,7 @@ def from_both_sides(
         both: Joints that come from both sides, shape (columns,) bool; the others come as they come.
         rng: Decides where nothing else does.
     """
-    natural = as_they_come(readings, kinds)
+    natural = approach_sides(readings, kinds)
     back = np.array([BACK_LENGTH if kind == "prismatic" else BACK_ANGLE for kind in kinds])
     sides = natural.copy()
     for j in np.flatnonzero(both).tolist():

@@ -37,7 +37,7 @@ def clear(
         carrier: The link that carries the target; None: the tip.
     """
     free = np.ones(len(readings), dtype=bool)
-    for limb, columns in of_limbs(robot):
+    for limb, columns in columns_of_limbs(robot):
         limb_readings = readings[:, columns]
         end = targets if limb.tip == (carrier or robot.tip) else tip_frames(limb, limb_readings)[1]
         points = np.concatenate([joint_frames(limb, limb_readings)[1], end[:, None]], axis=1)
@@ -48,7 +48,7 @@ def clear(
     return free
 
 
-def unobstructed(
+def clear_lines(
     robot: Robot, boxes: Sequence[Box], bodies: Bodies, readings: np.ndarray, starts: np.ndarray, ends: np.ndarray
 ) -> np.ndarray:
     """True where a straight line goes past the boxes and the arm, shape (n,).
@@ -69,14 +69,14 @@ def unobstructed(
     if bodies.shaped:
         free[free] = ~lines_touch(robot, bodies.geometry, readings[free], starts[free], ends[free])
         return free
-    for limb, columns in of_limbs(robot):
+    for limb, columns in columns_of_limbs(robot):
         points = joint_frames(limb, readings[:, columns])[1]
         for k in range(points.shape[1] - 1):
             free &= apart(starts, ends, points[:, k], points[:, k + 1]) > ARM_HALF_THICKNESS
     return free
 
 
-def of_limbs(robot: Robot) -> Iterator[tuple[Robot, list[int]]]:
+def columns_of_limbs(robot: Robot) -> Iterator[tuple[Robot, list[int]]]:
     """Each limb that moves, with the indices of the robot's columns that drive it."""
     for limb in robot.limbs:
         if limb.joints:

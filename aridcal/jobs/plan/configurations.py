@@ -10,14 +10,14 @@ import numpy as np
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.inclination import DOWN
 from aridcal.engine.instruments.pixels import ends_of_sight, faces, in_image
-from aridcal.engine.inverse.reachable import Miss, brought, draw_readings, off_the_limits
+from aridcal.engine.inverse.reachable import Miss, draw_readings, inner_limits, readings_for_poses
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.robot.chain import Route
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.jobs.plan.beforehand import PlanSetup
-from aridcal.jobs.plan.clearance import clear, unobstructed
-from aridcal.jobs.plan.mounting import stands_above
+from aridcal.jobs.plan.clearance import clear, clear_lines
+from aridcal.jobs.plan.mounting import keeps_above
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 from aridcal.system.errors import CampaignError
 
 DRAWING_ROUNDS = 40
@@ -178,7 +178,7 @@ def allowed(setup: PlanSetup, readings: np.ndarray, pattern: np.ndarray) -> np.n
     free = np.empty(len(readings), dtype=bool)
     for indices, route in _by_route(setup, pattern):
         free[indices] = clear(setup.robot, setup.boxes, setup.bodies, readings[indices], targets[indices], route.end)
-    return free & stands_above(setup.robot, setup.side, readings, targets) if setup.side else free
+    return free & keeps_above(setup.robot, setup.side, readings, targets) if setup.side else free
 
 
 def in_sight(setup: PlanSetup, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
@@ -196,7 +196,7 @@ def in_sight(setup: PlanSetup, readings: np.ndarray, pattern: np.ndarray) -> np.
     ends = p[visible] + to_instrument[visible] * (FREE_SIGHT_END / length[visible])[:, None]
     starts = np.broadcast_to(np.array(sight.at), ends.shape)
     boxes = setup.boxes
-    visible[visible] = unobstructed(setup.robot, boxes, setup.bodies, readings[visible], starts, ends)
+    visible[visible] = clear_lines(setup.robot, boxes, setup.bodies, readings[visible], starts, ends)
     return visible
 
 
@@ -258,7 +258,7 @@ def _draw_readings(setup: PlanSetup, pattern: int, count: int, rng: np.random.Ge
     rows = setup.patterns
     kind = setup.campaign.measurements.traits
     if not (kind.touches or kind.gauges or kind.joins):
-        return draw_readings(setup.robot, count, rng, off_the_limits)
+        return draw_readings(setup.robot, count, rng, inner_limits)
     role_name = kind.roles[0].name
     things = setup.model.instruments.things[role_name]
     number = things.names.index(str(rows.labels.refers[pattern, 0]))
@@ -281,7 +281,7 @@ def reaching(
     def pose(readings: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return targets_of(setup, readings, np.full(len(readings), pattern))
 
-    return brought(setup.robot, pose, miss, count, rng, str(setup.campaign.path), advice)
+    return readings_for_poses(setup.robot, pose, miss, count, rng, str(setup.campaign.path), advice)
 
 
 def _patterns_shown(setup: PlanSetup, readings: np.ndarray, patterns: np.ndarray) -> np.ndarray:
@@ -314,7 +314,7 @@ def _patterns_shown(setup: PlanSetup, readings: np.ndarray, patterns: np.ndarray
         short = FREE_SIGHT_END / np.maximum(np.linalg.norm(ends - starts, axis=1), 2 * FREE_SIGHT_END)[:, None]
         starts, ends = starts + short * (ends - starts), ends + short * (starts - ends)
         boxes = setup.boxes
-        shown[indices] = unobstructed(setup.robot, boxes, setup.bodies, rows, starts, ends)
+        shown[indices] = clear_lines(setup.robot, boxes, setup.bodies, rows, starts, ends)
     return shown.reshape(n, m)
 
 

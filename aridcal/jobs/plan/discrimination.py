@@ -20,13 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from aridcal.engine.corrections.catalogue import KINDS, candidates
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Observed
-from aridcal.engine.trust.workspace import LOOSE
-from aridcal.jobs.plan.beforehand import PlanSetup
+from aridcal.engine.corrections.effect_kind import ObservedRows
+from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.jobs.plan.configurations import Candidates
-from aridcal.jobs.plan.information import Told, so_far, together, whitened
+from aridcal.jobs.plan.information import CandidateInformation, measured_information, stack_by_candidate, whitened
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 
 BHATTACHARYYA_DIVISOR = 8.0
 """Non-centrality over this in the exponent: Bhattacharyya's bound of the chance to be wrong."""
@@ -106,11 +106,11 @@ class _Side:
         )
 
 
-def telling_apart(
+def discriminating_candidates(
     setup: PlanSetup,
-    unknowns: Told,
+    unknowns: CandidateInformation,
     effects: Sequence[tuple[str, tuple[Coefficient, ...]]],
-    observed: Observed,
+    observed: ObservedRows,
     candidates_offered: Candidates,
     n: int,
 ) -> tuple[list[int], tuple[Duel, ...]]:
@@ -132,15 +132,19 @@ def telling_apart(
         tuple(dict.fromkeys(c for e in others for c in e.coefficients if c not in setup.model.coefficients))
     )
     number = {c: unknowns.things + k for k, c in enumerate(wide.model.coefficients)}
-    rows = together(whitened(wide, candidates_offered), candidates_offered)
-    flat, residual = so_far(wide, candidates_offered)
+    rows = stack_by_candidate(whitened(wide, candidates_offered), candidates_offered)
+    flat, residual = measured_information(wide, candidates_offered)
     parts = [[number[c] for c in effect.coefficients] for effect in hypotheses]
     own_columns = {number[c] for _, part in effects for c in part}
     base = np.array(
-        [k for k in (*range(unknowns.things), *(unknowns.things + k for k in unknowns.kept)) if k not in own_columns]
+        [
+            k
+            for k in (*range(unknowns.things), *(unknowns.things + k for k in unknowns.coefficients))
+            if k not in own_columns
+        ]
     )
     sizes = np.concatenate([np.ones(unknowns.things), wide.model.sizes])
-    information = flat.T @ flat + np.diag(1.0 / (LOOSE * sizes) ** 2)
+    information = flat.T @ flat + np.diag(1.0 / (UNTOLD_SIGMA * sizes) ** 2)
     pool = np.einsum("cpi,cpj->ij", rows, rows, optimize=True) * (3.0 * n / len(rows))
     sides = []
     for h in (k for k, side in enumerate(owner) if side < 2):
@@ -184,7 +188,7 @@ def duel_lines(duels: Sequence[Duel]) -> list[str]:
     return lines
 
 
-def _members(setup: PlanSetup, observed: Observed, name: str, part: tuple[Coefficient, ...]) -> list[Effect]:
+def _members(setup: PlanSetup, observed: ObservedRows, name: str, part: tuple[Coefficient, ...]) -> list[Effect]:
     """The forms that an effect which is to be told apart may have.
 
     Each candidate of the search at that place, a harmonic of one order for instance; if there is none, the effect as declared.
@@ -195,14 +199,18 @@ def _members(setup: PlanSetup, observed: Observed, name: str, part: tuple[Coeffi
 
 
 def _library(
-    setup: PlanSetup, observed: Observed, effects: Sequence[tuple[str, tuple[Coefficient, ...]]]
+    setup: PlanSetup, observed: ObservedRows, effects: Sequence[tuple[str, tuple[Coefficient, ...]]]
 ) -> list[Effect]:
     """Candidates of the search beside two effects: small ones that hold neither of the two."""
-    kinds = [kind for kind in setup.campaign.diagnosis.candidates if KINDS[kind].named and KINDS[kind].key != "at"]
+    kinds = [
+        kind
+        for kind in setup.campaign.diagnosis.candidates
+        if EFFECT_KINDS[kind].named and EFFECT_KINDS[kind].key != "at"
+    ]
     names = {name for name, _ in effects}
     holding = {
         (kind.name, name.rpartition(".")[0])
-        for kind in KINDS.values()
+        for kind in EFFECT_KINDS.values()
         for name in names
         if name.rpartition(".")[2] in kind.holds
     }

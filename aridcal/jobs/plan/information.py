@@ -12,40 +12,40 @@ from aridcal.engine.fit.identifiable import identifiable
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.model.predictions import rows_of_data
-from aridcal.engine.trust.workspace import LOOSE, shifted
-from aridcal.jobs.plan.beforehand import PlanSetup
+from aridcal.engine.trust.workspace import UNTOLD_SIGMA, shifted
 from aridcal.jobs.plan.configurations import Candidates
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 
 ASSUMED_SHARE = 0.1
-"""Share of :data:`LOOSE` beyond which a sigma is that of what is assumed, not measured."""
+"""Share of :data:`UNTOLD_SIGMA` beyond which a sigma is that of what is assumed, not measured."""
 
-ROUNDING = 1e-10
+TOGETHER_RANK = 1e-10
 """Share of the largest singular value below which what several rows of one configuration tell together is nothing: thirty markers
 move as one body, by six numbers."""
 
 
 @dataclass(frozen=True)
-class Told:
+class CandidateInformation:
     """Information of candidates in D unknowns: those of the things first, then the coefficients that can be identified.
 
     Attributes:
         candidates: In sigmas, shape (C, p, D).
-        known: Information without the candidates, shape (D, D).
-        measured: Information without the candidates and without :data:`LOOSE`, shape (D, D).
+        prior_information: Information without the candidates, shape (D, D).
+        measured: Information without the candidates and without :data:`UNTOLD_SIGMA`, shape (D, D).
         things: Number of unknowns of things.
-        kept: Indices of the model's coefficients, in the order of the other unknowns.
+        coefficients: Indices of the model's coefficients, in the order of the other unknowns.
         sizes: What of each unknown counts as much as a metre or a radian, shape (D,).
     """
 
     candidates: np.ndarray
-    known: np.ndarray
+    prior_information: np.ndarray
     measured: np.ndarray
     things: int
-    kept: tuple[int, ...]
+    coefficients: tuple[int, ...]
     sizes: np.ndarray
 
 
-def told(setup: PlanSetup, candidates: Candidates, n: int) -> Told:
+def candidate_information(setup: PlanSetup, candidates: Candidates, n: int) -> CandidateInformation:
     """Information of candidates beside what is known.
 
     Args:
@@ -55,24 +55,31 @@ def told(setup: PlanSetup, candidates: Candidates, n: int) -> Told:
     """
     rows = whitened(setup, candidates)
     width = rows.shape[2]
-    flat, _ = so_far(setup, candidates)
+    flat, _ = measured_information(setup, candidates)
     all_rows = np.concatenate([flat, rows.reshape(-1, width) * np.sqrt(n / len(candidates.readings))])
     count = width - len(setup.theta)
     R = np.asarray(np.linalg.qr(all_rows, mode="r"))
     sizes = np.concatenate([np.ones(count), setup.model.sizes])
-    kept = identifiable(R[count:, count:] * sizes[count:], range(len(setup.theta))).kept
+    kept = identifiable(R[count:, count:] * sizes[count:], range(len(setup.theta))).independent
     asked_about = _columns(count, kept)
     flat = flat[:, asked_about]
     measured = flat.T @ flat
-    loose = np.diag(1.0 / (LOOSE * sizes[asked_about]) ** 2)
-    return Told(
-        together(rows[:, :, asked_about], candidates), measured + loose, measured, count, kept, sizes[asked_about]
+    loose = np.diag(1.0 / (UNTOLD_SIGMA * sizes[asked_about]) ** 2)
+    return CandidateInformation(
+        stack_by_candidate(rows[:, :, asked_about], candidates),
+        measured + loose,
+        measured,
+        count,
+        kept,
+        sizes[asked_about],
     )
 
 
-def rows_of(setup: PlanSetup, unknowns: Told, candidates: Candidates) -> np.ndarray:
+def rows_of(setup: PlanSetup, unknowns: CandidateInformation, candidates: Candidates) -> np.ndarray:
     """Rows of other candidates in the same unknowns, in sigmas, shape (C, p, D)."""
-    return together(whitened(setup, candidates)[:, :, _columns(unknowns.things, unknowns.kept)], candidates)
+    return stack_by_candidate(
+        whitened(setup, candidates)[:, :, _columns(unknowns.things, unknowns.coefficients)], candidates
+    )
 
 
 def whitened(setup: PlanSetup, candidates: Candidates) -> np.ndarray:
@@ -80,7 +87,7 @@ def whitened(setup: PlanSetup, candidates: Candidates) -> np.ndarray:
     return _whitened(problem(setup.model, candidates.rows(setup)), setup)[0]
 
 
-def so_far(setup: PlanSetup, candidates: Candidates) -> tuple[np.ndarray, np.ndarray]:
+def measured_information(setup: PlanSetup, candidates: Candidates) -> tuple[np.ndarray, np.ndarray]:
     """Columns (n, D) and residuals (n,) of the rows so far and of what is stated or expected beforehand, in sigmas."""
     beforehand = _beforehand_rows(problem(setup.model, candidates.some([0]).rows(setup)), setup)
     if not len(setup.rows):
@@ -143,7 +150,7 @@ def _beforehand_rows(question: Problem, setup: PlanSetup) -> np.ndarray:
     return rows
 
 
-def together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
+def stack_by_candidate(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
     """Rows (N, m, D) stacked by candidate, shape (C, p, D); an image's are reduced to the rank of all its markers."""
     _, m, D = rows.shape
     count = np.bincount(candidates.of, minlength=len(candidates.readings))
@@ -154,7 +161,7 @@ def together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
     if stacked.shape[1] == 1:
         return flat
     _, s, Vt = np.linalg.svd(flat, full_matrices=False)
-    rank = int((s > ROUNDING * s.max()).sum(axis=1).max())
+    rank = int((s > TOGETHER_RANK * s.max()).sum(axis=1).max())
     return np.asarray(s[:, :rank, None] * Vt[:, :rank])
 
 
@@ -166,7 +173,11 @@ def in_line(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def target_columns(
-    setup: PlanSetup, unknowns: Told, readings: np.ndarray, pattern: int, parts: Sequence[Sequence[int]] = ()
+    setup: PlanSetup,
+    unknowns: CandidateInformation,
+    readings: np.ndarray,
+    pattern: int,
+    parts: Sequence[Sequence[int]] = (),
 ) -> np.ndarray:
     """How the target, or the campaign's own point on it, moves in some configurations with the unknowns, shape (R, 3, D), [m].
 
@@ -183,9 +194,9 @@ def target_columns(
     tool = np.array(setup.campaign.region.tool)
     J = shifted(J, R @ tool) if tool.any() else J
     parts_columns = []
-    for part in parts or [unknowns.kept]:
-        columns = np.zeros((len(readings), 3, unknowns.things + len(unknowns.kept)))
-        for place, k in enumerate(unknowns.kept):
+    for part in parts or [unknowns.coefficients]:
+        columns = np.zeros((len(readings), 3, unknowns.things + len(unknowns.coefficients)))
+        for place, k in enumerate(unknowns.coefficients):
             if k in part:
                 columns[:, :, unknowns.things + place] = J[:, :3, k]
         parts_columns.append(columns)

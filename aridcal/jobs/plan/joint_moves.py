@@ -15,7 +15,7 @@ import yaml
 
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import LANGUAGES
-from aridcal.jobs.apply.programs.moves import AXES, Moves, Stop
+from aridcal.jobs.apply.programs.moves import ARM_AXES, Moves, Stop
 from aridcal.system.errors import OutputError, shortened
 
 LONGEST_PROGRAM_NAME = 24
@@ -81,10 +81,10 @@ def check_program(ending: str, stem: str, kinds: tuple[str, ...]) -> None:
         )
     sliding = kinds.count("prismatic")
     turning = len(kinds) - sliding
-    if turning != AXES or sliding > language.external:
+    if turning != ARM_AXES or sliding > language.external:
         beside = f" and at most {language.external} external ones that slide" if language.external else ""
         raise OutputError(
-            f"{stem}{ending}: {language.name} is for arms of {AXES} revolute joints{beside}; this one has "
+            f"{stem}{ending}: {language.name} is for arms of {ARM_AXES} revolute joints{beside}; this one has "
             f"{turning} revolute and {sliding} prismatic: write .csv or .yaml, and make moves of these in your "
             "controller's own way"
         )

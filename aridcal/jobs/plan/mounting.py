@@ -31,7 +31,7 @@ def mounting_side(robot: Robot) -> float:
     return float(np.sign(height)) if abs(axis[2]) > UPRIGHT_COSINE and abs(height) > ARM_HALF_THICKNESS else 0.0
 
 
-def stands_above(robot: Robot, side: float, readings: np.ndarray, targets: np.ndarray) -> np.ndarray:
+def keeps_above(robot: Robot, side: float, readings: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """True of configurations in which arm and target keep on their side of the mounting plane, shape (n,).
 
     Joints from the second on keep off it by half an arm's thickness; the target may touch it.

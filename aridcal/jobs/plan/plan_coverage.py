@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.trust.workspace import LOOSE
-from aridcal.jobs.plan.beforehand import PlanSetup
+from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.jobs.plan.configurations import Candidates, targets_of
-from aridcal.jobs.plan.information import ASSUMED_SHARE, Told
-from aridcal.jobs.plan.row_exchange import Choice, rms_sigma, taken_away, worst_sigma
+from aridcal.jobs.plan.information import ASSUMED_SHARE, CandidateInformation
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
+from aridcal.jobs.plan.row_exchange import RowChoice, covariances_without, rms_sigma, worst_sigma
 
 CURVE_POINTS = 12
 """Points of the curve of sigma against the number of configurations: a smooth line, and each a small decomposition."""
@@ -34,7 +34,7 @@ class Sigma:
 
 
 @dataclass(frozen=True)
-class Coverage:
+class PlanCoverage:
     """What a plan of n configurations covers.
 
     Attributes:
@@ -54,27 +54,27 @@ class Coverage:
     loss: np.ndarray
 
 
-def sigma_of(choice: Choice, chosen: list[int]) -> Sigma:
+def sigma_of(choice: RowChoice, chosen: list[int]) -> Sigma:
     """Sigma over the region with the chosen configurations."""
     M = choice.information(chosen)
-    rms = told_sigma(rms_sigma(choice, M))
+    rms = observed_sigma(rms_sigma(choice, M))
     return Sigma(len(chosen), rms, worst_sigma(choice, M) if np.isfinite(rms) else np.nan)
 
 
-def told_sigma(sigma: float) -> float:
+def observed_sigma(sigma: float) -> float:
     """A sigma, or NaN where it comes from what is assumed, not from rows."""
-    return sigma if sigma < ASSUMED_SHARE * LOOSE else float("nan")
+    return sigma if sigma < ASSUMED_SHARE * UNTOLD_SIGMA else float("nan")
 
 
 def coverage(
     setup: PlanSetup,
-    unknowns: Told,
-    choice: Choice,
+    unknowns: CandidateInformation,
+    choice: RowChoice,
     order: list[int],
     visited: Candidates,
     rows: np.ndarray,
     region: np.ndarray,
-) -> Coverage:
+) -> PlanCoverage:
     """The coverage of a plan.
 
     Args:
@@ -94,10 +94,10 @@ def coverage(
     loss = np.zeros((len(rows), len(names)))
     for k, F in enumerate(rows):
         without_row = partial(planned.information, [other for other in range(len(rows)) if other != k])
-        without, _ = taken_away(planned, covariance, solved, F, without_row)
+        without, _ = covariances_without(planned, covariance, solved, F, without_row)
         loss[k] = [_growth(without, covariance, part) for part in parts]
     variances = np.linalg.eigvalsh(choice.variances(M))[:, -1]
-    return Coverage(
+    return PlanCoverage(
         targets=targets_of(setup, visited.readings, visited.first)[1],
         places=targets_of(setup, region, np.zeros(len(region), dtype=int))[1],
         worst=np.sqrt(variances.reshape(-1, len(region)).max(axis=0)),
@@ -112,17 +112,17 @@ def _growth(without: np.ndarray, covariance: np.ndarray, part: list[int]) -> flo
     return float(np.trace(without[np.ix_(part, part)]) / np.trace(covariance[np.ix_(part, part)]) - 1.0)
 
 
-def suspects(setup: PlanSetup, unknowns: Told) -> tuple[tuple[str, ...], list[list[int]]]:
+def suspects(setup: PlanSetup, unknowns: CandidateInformation) -> tuple[tuple[str, ...], list[list[int]]]:
     """Names of the effects among the unknowns, by place and covariates, and the indices of each one's unknowns."""
     parts: dict[str, list[int]] = {}
-    for number, k in enumerate(unknowns.kept):
+    for number, k in enumerate(unknowns.coefficients):
         c = setup.model.coefficients[k]
         if not c.basis.constant:
             parts.setdefault(_title(c), []).append(unknowns.things + number)
     return tuple(parts), list(parts.values())
 
 
-def indices(setup: PlanSetup, unknowns: Told, rows: np.ndarray) -> tuple[float, ...]:
+def indices(setup: PlanSetup, unknowns: CandidateInformation, rows: np.ndarray) -> tuple[float, ...]:
     """Observability indices of all rows together, suspects held; see :func:`observability`.
 
     Args:
@@ -132,7 +132,7 @@ def indices(setup: PlanSetup, unknowns: Told, rows: np.ndarray) -> tuple[float, 
     """
     flat = rows.reshape(-1, rows.shape[2])
     information = (unknowns.measured + flat.T @ flat) * unknowns.sizes * unknowns.sizes[:, None]
-    expected = np.isfinite(setup.prior[list(unknowns.kept)])
+    expected = np.isfinite(setup.prior[list(unknowns.coefficients)])
     judged = np.flatnonzero(np.concatenate([np.ones(unknowns.things, dtype=bool), ~expected]))
     return observability(information[np.ix_(judged, judged)], unknowns.things, len(setup.rows) + len(rows))
 

@@ -12,17 +12,23 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import MeasurementSettings
 from aridcal.files.orientations import column_of
-from aridcal.jobs.plan.approaches import Approaches, as_they_come, from_both_sides
-from aridcal.jobs.plan.beforehand import PlanSetup
+from aridcal.jobs.plan.approaches import Approaches, approach_sides, from_both_sides
 from aridcal.jobs.plan.configurations import Candidates, allowed, draw_candidates, ends, offers
-from aridcal.jobs.plan.discrimination import Duel, telling_apart
-from aridcal.jobs.plan.information import Told, in_line, rows_of, target_columns, told
-from aridcal.jobs.plan.plan_coverage import Coverage, Sigma, coverage, indices, sigma_of, told_sigma
-from aridcal.jobs.plan.refine import Refined, refined
-from aridcal.jobs.plan.row_exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma
+from aridcal.jobs.plan.discrimination import Duel, discriminating_candidates
+from aridcal.jobs.plan.information import CandidateInformation, candidate_information, in_line, rows_of, target_columns
+from aridcal.jobs.plan.plan_coverage import PlanCoverage, Sigma, coverage, indices, observed_sigma, sigma_of
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
+from aridcal.jobs.plan.refinement import RefinedCandidates, refined
+from aridcal.jobs.plan.row_exchange import FEW, Criterion, RowChoice, best_choice, nested, rms_sigma
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.travel import short_order
-from aridcal.jobs.plan.usual_effects import both_sides, observed_by, with_pair, with_stated_effects, with_usual_effects
+from aridcal.jobs.plan.usual_effects import (
+    both_sides,
+    observed_rows,
+    with_pair,
+    with_stated_effects,
+    with_usual_effects,
+)
 from aridcal.system.errors import CampaignError
 from aridcal.system.progress import SILENT, Progress
 
@@ -35,7 +41,7 @@ RANDOM_CHOICES = 100
 
 
 @dataclass(frozen=True)
-class Asked:
+class PlanRequest:
     """What is asked of a plan.
 
     Attributes:
@@ -88,7 +94,7 @@ class Plan:
     notices: tuple[str, ...]
     kept_out: str
     duels: tuple[Duel, ...]
-    coverage: Coverage
+    coverage: PlanCoverage
 
     @property
     def by_way(self) -> np.ndarray:
@@ -109,7 +115,7 @@ class Plan:
         return next(s for s in self.sigma if s.n == len(self.readings))
 
 
-def design(setup: PlanSetup, request: Asked, progress: Progress = SILENT) -> Plan:
+def design(setup: PlanSetup, request: PlanRequest, progress: Progress = SILENT) -> Plan:
     """Choose configurations.
 
     Args:
@@ -139,11 +145,11 @@ def design(setup: PlanSetup, request: Asked, progress: Progress = SILENT) -> Pla
             (name, tuple(setup.model.coefficients[k] for k in part))
             for name, part in zip(request.apart, parts, strict=True)
         ]
-        observed = observed_by(setup, candidates.rows(setup))
-        chosen, duels = telling_apart(setup, unknowns, pair, observed, candidates, request.n)
+        observed = observed_rows(setup, candidates.rows(setup))
+        chosen, duels = discriminating_candidates(setup, unknowns, pair, observed, candidates, request.n)
     else:
         chosen = best_choice(choice, request.n, choosing)
-    best = Refined(candidates.some(chosen), choice.rows[chosen])
+    best = RefinedCandidates(candidates.some(chosen), choice.rows[chosen])
     if anywhere and not request.apart:
         progress("moving them to better places nearby")
         best = refined(setup, unknowns, choice, best, moving)
@@ -167,9 +173,9 @@ def design(setup: PlanSetup, request: Asked, progress: Progress = SILENT) -> Pla
         labels={name: np.array([title[name] for title in titles]) for name in titles[0]},
         directions={setup.robot.readings[j]: approaches.sides[:, j] for j in both},
         sigma=tuple(sigma_of(extended, order[:count]) for count in sorted(counts)),
-        random=told_sigma(float(np.median(random))),
+        random=observed_sigma(float(np.median(random))),
         indices=indices(setup, unknowns, rows),
-        unknowns=len(unknowns.kept),
+        unknowns=len(unknowns.coefficients),
         measured=len(setup.rows),
         notices=(*setup.notices, *_of_region(setup, request), *notices),
         kept_out=setup.kept_out,
@@ -178,7 +184,7 @@ def design(setup: PlanSetup, request: Asked, progress: Progress = SILENT) -> Pla
     )
 
 
-def _of_region(setup: PlanSetup, request: Asked) -> list[str]:
+def _of_region(setup: PlanSetup, request: PlanRequest) -> list[str]:
     """Notices where a plan is for the campaign's own region, or for its own point on the target."""
     region, remarks = setup.campaign.region, []
     if request.region is None and (region.file is not None or region.joints):
@@ -188,7 +194,9 @@ def _of_region(setup: PlanSetup, request: Asked) -> list[str]:
     return remarks
 
 
-def question(setup: PlanSetup, request: Asked, candidates: Candidates, region: np.ndarray) -> tuple[Choice, Told]:
+def question(
+    setup: PlanSetup, request: PlanRequest, candidates: Candidates, region: np.ndarray
+) -> tuple[RowChoice, CandidateInformation]:
     """The choice that a request makes of candidates, and the information of these.
 
     Args:
@@ -198,16 +206,21 @@ def question(setup: PlanSetup, request: Asked, candidates: Candidates, region: n
         region: Readings where the target is to be known, shape (R, columns).
     """
     setup, parts = with_pair(setup, request.apart, candidates)
-    unknowns = told(setup, candidates, request.n)
+    unknowns = candidate_information(setup, candidates, request.n)
     for name, part in zip(request.apart, parts, strict=True):
-        if not set(part) & set(unknowns.kept):
+        if not set(part) & set(unknowns.coefficients):
             raise CampaignError(
                 f"--apart {','.join(request.apart)}: no configuration tells {name} from the other one and from the constants: "
                 "the data of this kind cannot"
             )
     target = np.concatenate([target_columns(setup, unknowns, region, k, parts) for k in ends(setup)])
-    choice = Choice(
-        unknowns.candidates, unknowns.known, target, np.ones(len(target)), unknowns.things, request.criterion
+    choice = RowChoice(
+        unknowns.candidates,
+        unknowns.prior_information,
+        target,
+        np.ones(len(target)),
+        unknowns.things,
+        request.criterion,
     )
     return choice, unknowns
 
@@ -218,7 +231,7 @@ def _visits(
     """Configurations in the order of their visits, how each is approached, and notices of approaches without room."""
     robot = setup.robot
     visited = best.some(short_order(best.readings))
-    natural = as_they_come(visited.readings, robot.kinds)
+    natural = approach_sides(visited.readings, robot.kinds)
     approaches = from_both_sides(visited.readings, robot.kinds, robot.limits, both_sides(setup), rng)
     number = np.flatnonzero(np.isfinite(approaches.via).all(axis=1))
     blocked = number[~allowed(setup, approaches.via[number], visited.first[number])]

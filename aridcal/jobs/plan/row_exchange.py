@@ -44,12 +44,12 @@ WORST_ROUNDS = 6
 
 
 @dataclass(frozen=True)
-class Choice:
+class RowChoice:
     """Candidates to choose from, and the criterion.
 
     Attributes:
         rows: Of each candidate, in sigmas, shape (C, p, D), filled up with zeros.
-        known: Information without the candidates, shape (D, D), positive definite.
+        prior_information: Information without the candidates, shape (D, D), positive definite.
         target: How the target moves at the places of the region, shape (R, 3, D), [m].
         weight: Of each place, shape (R,), with mean 1.
         solved_for: Number of the first unknowns, places of instruments, which are solved for but not judged.
@@ -57,7 +57,7 @@ class Choice:
     """
 
     rows: np.ndarray
-    known: np.ndarray
+    prior_information: np.ndarray
     target: np.ndarray
     weight: np.ndarray
     solved_for: int
@@ -73,7 +73,7 @@ class Choice:
     def information(self, chosen: Sequence[int] | np.ndarray) -> np.ndarray:
         """M with some candidates measured, shape (D, D)."""
         F = self.rows[list(chosen)].reshape(-1, self.rows.shape[2])
-        return np.asarray(self.known + F.T @ F)
+        return np.asarray(self.prior_information + F.T @ F)
 
     def variances(self, information: np.ndarray) -> np.ndarray:
         """Covariance of the target at each place, shape (R, 3, 3), [m²]."""
@@ -93,17 +93,17 @@ class Choice:
         return float(np.mean(self.weight * np.einsum("rii->r", covariance)))
 
 
-def rms_sigma(choice: Choice, information: np.ndarray) -> float:
+def rms_sigma(choice: RowChoice, information: np.ndarray) -> float:
     """RMS over the region of the target's sigma, all three directions together, [m]."""
     return float(np.sqrt(np.mean(np.einsum("rii->r", choice.variances(information)))))
 
 
-def worst_sigma(choice: Choice, information: np.ndarray) -> float:
+def worst_sigma(choice: RowChoice, information: np.ndarray) -> float:
     """The target's sigma at the worst place in the worst direction, [m]."""
     return float(np.sqrt(np.linalg.eigvalsh(choice.variances(information))[:, -1].max()))
 
 
-def best_choice(choice: Choice, n: int, rng: np.random.Generator, starts: int | None = None) -> list[int]:
+def best_choice(choice: RowChoice, n: int, rng: np.random.Generator, starts: int | None = None) -> list[int]:
     """The best n candidates that exchanges find, each at most once.
 
     Args:
@@ -116,11 +116,11 @@ def best_choice(choice: Choice, n: int, rng: np.random.Generator, starts: int | 
     if choice.criterion == "G":
         return _for_the_worst(choice, n, rng, starts)
     choices = [greedy(choice, n), *(rng.permutation(len(choice.rows))[:n].tolist() for _ in range(starts - 1))]
-    ends = [exchanged(choice, chosen) for chosen in choices]
+    ends = [exchange_members(choice, chosen) for chosen in choices]
     return min(ends, key=choice.cost)
 
 
-def greedy(choice: Choice, n: int, begin: Sequence[int] = ()) -> list[int]:
+def greedy(choice: RowChoice, n: int, begin: Sequence[int] = ()) -> list[int]:
     """Candidates added one by one, each the best there is."""
     chosen = list(begin)
     while len(chosen) < n:
@@ -130,7 +130,7 @@ def greedy(choice: Choice, n: int, begin: Sequence[int] = ()) -> list[int]:
     return chosen
 
 
-def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
+def exchange_members(choice: RowChoice, chosen: Sequence[int]) -> list[int]:
     """A choice with members exchanged as long as that makes it better."""
     chosen = list(chosen)
     for _ in range(max(FEWEST_PASSES, MOST_QUESTIONS // max(len(chosen), 1))):
@@ -138,7 +138,7 @@ def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
         unchanged = True
         for place, old in enumerate(chosen):
             without_member = partial(choice.information, [c for c in chosen if c != old])
-            without, solved_without = taken_away(choice, covariance, solved, choice.rows[old], without_member)
+            without, solved_without = covariances_without(choice, covariance, solved, choice.rows[old], without_member)
             gain = _worth(choice, without, solved_without)
             gain_of_old = gain[old]
             gain[[c for c in chosen if c != old]] = -np.inf
@@ -153,7 +153,7 @@ def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
     return chosen
 
 
-def nested(choice: Choice, chosen: Sequence[int], most: int) -> list[int]:
+def nested(choice: RowChoice, chosen: Sequence[int], most: int) -> list[int]:
     """Candidates in an order of which every beginning is a good choice of its length.
 
     The choice comes first, its least useful member last, then further candidates.
@@ -166,28 +166,30 @@ def nested(choice: Choice, chosen: Sequence[int], most: int) -> list[int]:
     remaining, removed = list(chosen), []
     while remaining:
         covariance, solved = np.linalg.inv(choice.information(remaining)), _of_solved(choice, remaining)
-        loss = [-worth_of(choice, F, covariance, solved, -1.0)[0] for F in choice.rows[remaining][:, None]]
+        loss = [-gain_of_rows(choice, F, covariance, solved, -1.0)[0] for F in choice.rows[remaining][:, None]]
         removed.append(remaining.pop(int(np.argmin(loss))))
     return greedy(choice, most, removed[::-1])
 
 
-def _for_the_worst(choice: Choice, n: int, rng: np.random.Generator, starts: int) -> list[int]:
+def _for_the_worst(choice: RowChoice, n: int, rng: np.random.Generator, starts: int) -> list[int]:
     """The choice whose worst place is best known: see the module."""
     mean = replace(choice, criterion="A")
     best = chosen = best_choice(mean, n, rng, starts)
     for _ in range(WORST_ROUNDS):
         mean = replace(mean, weight=weights_of_the_worst(mean, chosen))
-        chosen = exchanged(mean, chosen)
+        chosen = exchange_members(mean, chosen)
         best = min(best, chosen, key=choice.cost)
     return best
 
 
-def _worth(choice: Choice, covariance: np.ndarray, solved: np.ndarray) -> np.ndarray:
+def _worth(choice: RowChoice, covariance: np.ndarray, solved: np.ndarray) -> np.ndarray:
     """By how much each candidate, added, makes the cost smaller, shape (C,)."""
-    return worth_of(choice, choice.rows, covariance, solved, 1.0)
+    return gain_of_rows(choice, choice.rows, covariance, solved, 1.0)
 
 
-def worth_of(choice: Choice, rows: np.ndarray, covariance: np.ndarray, solved: np.ndarray, sign: float) -> np.ndarray:
+def gain_of_rows(
+    choice: RowChoice, rows: np.ndarray, covariance: np.ndarray, solved: np.ndarray, sign: float
+) -> np.ndarray:
     """By how much each of some rows, added or taken away (sign -1), makes the cost smaller, shape (n,)."""
     if choice.criterion == "D":
         of_instruments = rows[:, :, : choice.solved_for]
@@ -221,21 +223,21 @@ def _beside(in_sigmas: np.ndarray, sign: float) -> np.ndarray:
     return np.asarray((V * np.maximum(1.0 - values, LEAST_PRIOR_SHARE)[..., None, :]) @ np.swapaxes(V, -1, -2))
 
 
-def weights_of_the_worst(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
+def weights_of_the_worst(choice: RowChoice, chosen: Sequence[int]) -> np.ndarray:
     """Weights of the places that grow with how badly the target is known there, shape (R,), with mean 1."""
     largest = np.linalg.eigvalsh(choice.variances(choice.information(chosen)))[:, -1]
     weight = choice.weight * largest / largest.mean()
     return np.asarray(weight / weight.mean())
 
 
-def _of_solved(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
+def _of_solved(choice: RowChoice, chosen: Sequence[int]) -> np.ndarray:
     """Inverse of the information of the instruments' unknowns alone, see :attr:`Choice.solved_for`."""
     instruments = slice(0, choice.solved_for)
     return np.linalg.inv(choice.information(chosen)[instruments, instruments])
 
 
-def taken_away(
-    choice: Choice,
+def covariances_without(
+    choice: RowChoice,
     covariance: np.ndarray,
     solved: np.ndarray,
     F: np.ndarray,

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.engine.inverse.reachable import draw_readings, limits_of
-from aridcal.jobs.calibrate.region import corners, region_of_table
-from aridcal.jobs.plan.beforehand import PlanSetup
+from aridcal.jobs.calibrate.tolerance_region import corners, region_of_table
 from aridcal.jobs.plan.configurations import allowed, reaching
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 
 REGION_PLACES = 300
 """Of the region: their mean is then known to a few per cent, and every choice is compared on the same ones."""

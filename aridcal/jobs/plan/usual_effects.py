@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 from pydantic import ValidationError
 
-from aridcal.engine.corrections.catalogue import KINDS, candidates, declared
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates, declared
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.covariate_table import look
+from aridcal.engine.search.covariate_table import covariates_and_exclusions
 from aridcal.files.campaign import EffectDeclaration
-from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 from aridcal.system.errors import CampaignError, nearest
 
 USUAL_MOTIONS = {
@@ -83,7 +83,7 @@ def with_usual_effects(setup: PlanSetup, pool: Candidates) -> PlanSetup:
     if not diagnosis.enabled:
         return setup
     rows = pool.rows(setup)
-    observed = observed_by(setup, rows)
+    observed = observed_rows(setup, rows)
     planned: dict[str, None] = {}
     for kind, coefficients in _usual(observed, set(diagnosis.candidates), str(setup.campaign.path)):
         added = tuple(c for c in coefficients if c not in setup.model.coefficients)
@@ -99,7 +99,7 @@ def with_usual_effects(setup: PlanSetup, pool: Candidates) -> PlanSetup:
     return replace(setup, notices=(*setup.notices, notice)) if planned else setup
 
 
-def _usual(observed: Observed, kinds: set[str], place: str) -> Iterator[tuple[str, tuple[Coefficient, ...]]]:
+def _usual(observed: ObservedRows, kinds: set[str], place: str) -> Iterator[tuple[str, tuple[Coefficient, ...]]]:
     """Kind and coefficients of each suspect."""
     for joint in observed.robot.joints:
         if not joint.drive.factors:
@@ -123,7 +123,7 @@ def _of_gear(name: str) -> Iterator[EffectDeclaration]:
     yield EffectDeclaration(kind="joint_backlash", where=name, by="direction")
 
 
-def _bends(observed: Observed, name: str, kind: str) -> tuple[Coefficient, ...]:
+def _bends(observed: ObservedRows, name: str, kind: str) -> tuple[Coefficient, ...]:
     """Coefficients of a rail's polynomials in all their motions: few, where its whole curve would have a hundred."""
     of_rail = (c for effect in candidates(observed, (kind,)) if effect.where == name for c in effect.coefficients)
     return tuple(dict.fromkeys(c for c in of_rail if c.basis.form == "power"))
@@ -136,9 +136,9 @@ def _effect(setup: PlanSetup, name: str, pool: Candidates) -> tuple[Coefficient,
         CampaignError: there is no such effect.
     """
     where, _, kind = name.rpartition(".")
-    if not where or kind not in KINDS:
+    if not where or kind not in EFFECT_KINDS:
         raise CampaignError(
-            f"--apart {name}: should be WHERE.KIND, joint_2.joint_gain for instance{nearest(kind, KINDS)}"
+            f"--apart {name}: should be WHERE.KIND, joint_2.joint_gain for instance{nearest(kind, EFFECT_KINDS)}"
         )
     stated = [d for d in setup.campaign.effects if (d.where, d.kind) == (where, kind)]
     try:
@@ -153,9 +153,9 @@ def _declared(
     setup: PlanSetup, declaration: EffectDeclaration, place: str, pool: Candidates
 ) -> tuple[Coefficient, ...]:
     """Coefficients of a declared effect, made from the pool's configurations."""
-    return declared(observed_by(setup, pool.rows(setup)), declaration, place).coefficients
+    return declared(observed_rows(setup, pool.rows(setup)), declaration, place).coefficients
 
 
-def observed_by(setup: PlanSetup, rows: Dataset) -> Observed:
+def observed_rows(setup: PlanSetup, rows: Dataset) -> ObservedRows:
     """Covariates of some rows, from which effects can be made."""
-    return look(setup.model.with_coefficients(()), rows)[0]
+    return covariates_and_exclusions(setup.model.with_coefficients(()), rows)[0]

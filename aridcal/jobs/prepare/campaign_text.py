@@ -13,16 +13,16 @@ from typing import Any
 import pandas as pd
 import yaml
 
+from aridcal.engine.robot.described_robots import RobotDescription, robot_description
 from aridcal.engine.robot.expand import plain_name, read_urdf
-from aridcal.engine.robot.named import Named, described
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable, read_tables
 from aridcal.files.yaml_file import parse_settings
-from aridcal.jobs.prepare.dialects import best_dialect, dialects_of, say_table
-from aridcal.jobs.prepare.guesses import Asker, Choose, Guess, Proposal
-from aridcal.jobs.prepare.propose import QUESTIONS, propose
+from aridcal.jobs.prepare.campaign_proposal import QUESTIONS, propose
+from aridcal.jobs.prepare.guesses import Choose, Chooser, Guess, Proposal
+from aridcal.jobs.prepare.table_formats import best_dialect, dialects_of, say_table
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import Dialect
 from aridcal.system.reading.regular_files import URDF
@@ -30,8 +30,8 @@ from aridcal.system.reading.regular_files import URDF
 # Of a line with a comment.
 COMMENT_WIDTH = 116
 # So wide that YAML breaks no value.
-ONE_LINE = 10_000
-HEAD = """\
+LONGEST_YAML_LINE = 10_000
+CAMPAIGN_HEAD = """\
 # Proposed by `aridcal init`. What was guessed says so: read it once. All keys: docs/formats.md.
 format: 1
 """
@@ -75,12 +75,12 @@ def draft(
     Raises:
         AridcalError: what in the files needs mending first; or what is to be answered.
     """
-    asker = Asker(choose, settled or {})
+    asker = Chooser(choose, settled or {})
     asker.check(QUESTIONS)
-    source = described(urdf, packages or {}, arguments or {})
+    source = robot_description(urdf, packages or {}, arguments or {})
     content = read_urdf(source.path, URDF, source.packages, source.arguments)
 
-    def proposed(dialect: Dialect, asker: Asker) -> Proposal:
+    def proposed(dialect: Dialect, asker: Chooser) -> Proposal:
         table = read_tables(tables, None, dialect=dialect)
         try:
             return propose(
@@ -106,7 +106,7 @@ def draft(
     return Draft(campaign, proposal, rows)
 
 
-def campaign_text(proposal: Proposal, source: Named, tables: Sequence[AnyTable], home: Path) -> str:
+def campaign_text(proposal: Proposal, source: RobotDescription, tables: Sequence[AnyTable], home: Path) -> str:
     """Write a proposal as ``campaign.yaml``, every choice with its reason above it.
 
     Args:
@@ -122,7 +122,7 @@ def campaign_text(proposal: Proposal, source: Named, tables: Sequence[AnyTable],
     columns = [guess for guess in parts["measurements.columns"] if guess.value is not None or not guess.sure]
     renamed = any(guess.value is not None for guess in columns)
     lines = [
-        f"{HEAD}robot:",
+        f"{CAMPAIGN_HEAD}robot:",
         *_source(source, home),
         *_mapping(parts["robot"], "  "),
         "measurements:",
@@ -138,7 +138,7 @@ def campaign_text(proposal: Proposal, source: Named, tables: Sequence[AnyTable],
     return "\n".join(lines) + "\n"
 
 
-def _source(source: Named, home: Path) -> list[str]:
+def _source(source: RobotDescription, home: Path) -> list[str]:
     """The lines that name the robot's description; what lies in a cache is not named by its way from the campaign."""
     shown = str if source.cached else lambda path: _relative(path, home)
     lines = [f"  urdf: {scalar(shown(source.path))}"]
@@ -177,7 +177,7 @@ def _mapping(guesses: Sequence[Guess], indent: str) -> list[str]:
 
 def scalar(value: Any) -> str:
     """A value on one line of YAML, quoted where it must be."""
-    text = yaml.safe_dump(value, default_flow_style=True, width=ONE_LINE, allow_unicode=True)
+    text = yaml.safe_dump(value, default_flow_style=True, width=LONGEST_YAML_LINE, allow_unicode=True)
     return text.removesuffix("...\n").strip()
 
 

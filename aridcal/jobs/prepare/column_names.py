@@ -108,7 +108,7 @@ def unit(name: str) -> str | None:
     return UNIT_WORDS.get(parts[-1]) if len(parts) > 1 else None
 
 
-def lettered(names: Iterable[str], letters: str) -> list[Family]:
+def lettered_families(names: Iterable[str], letters: str) -> list[Family]:
     """Families of columns that differ in the last letter of one word: ``tcp_x tcp_y tcp_z``, ``rx ry rz``.
 
     Args:
@@ -224,7 +224,7 @@ def positions(names: Iterable[str]) -> list[Family]:
         and family.about & POSITION_WORDS
         and not family.about & ORIENTATION_WORDS
     ]
-    by_letter = [family for family in lettered(names, "xyz") if not family.about & ORIENTATION_WORDS]
+    by_letter = [family for family in lettered_families(names, "xyz") if not family.about & ORIENTATION_WORDS]
     families = [family for family in (*by_letter, *by_number) if not family.about & OTHER_WORDS]
     return sorted(families, key=lambda family: (family.commanded, not family.measured, len(family.about)))
 
@@ -232,7 +232,7 @@ def positions(names: Iterable[str]) -> list[Family]:
 def quaternions(names: Iterable[str]) -> list[Family]:
     """Families of four columns that may be quaternions, the likeliest first: x y z w by letter, or numbered."""
     names = list(names)
-    by_letter = lettered(names, "xyzw")
+    by_letter = lettered_families(names, "xyzw")
     by_number = [family for family in numbered(names) if len(family.columns) == 4 and family.about & ORIENTATION_WORDS]
     by_number += [
         Family(family.columns[3:], family.about, family.numbers[3:])
@@ -249,8 +249,8 @@ def angle_triples(names: Iterable[str]) -> list[Family]:
     By axis (``rx ry rz``, where another word speaks of orientation), KUKA's ``A B C``, Fanuc's ``W P R``.
     """
     names = list(names)
-    by_axis = [family for family in lettered(names, "xyz") if family.about & ORIENTATION_WORDS]
-    candidates = [*by_axis, *lettered(names, "abc"), *lettered(names, "wpr")]
+    by_axis = [family for family in lettered_families(names, "xyz") if family.about & ORIENTATION_WORDS]
+    candidates = [*by_axis, *lettered_families(names, "abc"), *lettered_families(names, "wpr")]
     by_words = {words(name): name for name in reversed(names)}
     for angles in NAMED_ANGLES:
         if all((SYNONYMS.get(word, word),) in by_words for word in angles):
@@ -267,7 +267,7 @@ def angle_triples(names: Iterable[str]) -> list[Family]:
 def _with_scalars(names: Sequence[str]) -> list[Family]:
     """Quaternions whose scalar is called otherwise than their vector: ``Q0 Qx Qy Qz``."""
     families = []
-    for family in lettered(names, "xyz"):
+    for family in lettered_families(names, "xyz"):
         if not family.about & QUATERNION_WORDS:
             continue
         for name in names:
@@ -329,7 +329,7 @@ def _numbered_matrix(family: Family) -> MatrixColumns:
 
 def _of_vectors(names: Sequence[str]) -> list[MatrixColumns]:
     """Columns of a matrix as vectors: ``n``, ``o`` and ``a``, each with x y z, and perhaps ``p``."""
-    by_stem: dict[frozenset[str], Family] = {family.about: family for family in lettered(names, "xyz")}
+    by_stem: dict[frozenset[str], Family] = {family.about: family for family in lettered_families(names, "xyz")}
     triple = [by_stem.get(frozenset({stem})) for stem in "noa"]
     if any(family is None for family in triple):
         return []
@@ -358,7 +358,7 @@ def has_orientation(free: Sequence[str], place: Family) -> bool:
     )
 
 
-def named(names: Iterable[str], *wanted: str) -> str | None:
+def named_column(names: Iterable[str], *wanted: str) -> str | None:
     """The first column called by one of some words, apart from its unit and words such as ``measured``."""
     for name in names:
         parts = [word for word in words(name) if word not in MEASURED_WORDS | {"name"}]

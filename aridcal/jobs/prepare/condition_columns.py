@@ -13,7 +13,7 @@ from aridcal.files.tables import Table
 from aridcal.jobs.prepare.column_names import (
     SCATTER_WORDS,
     angle_triples,
-    named,
+    named_column,
     numbered,
     positions,
     quaternions,
@@ -21,7 +21,7 @@ from aridcal.jobs.prepare.column_names import (
     words,
 )
 from aridcal.jobs.prepare.guesses import Proposal
-from aridcal.jobs.prepare.units_and_angles import Reading
+from aridcal.jobs.prepare.units_and_angles import TableReading
 
 # Quantities known by their names: what they are called in a campaign, their unit, and spellings.
 COVARIATES = (
@@ -33,7 +33,7 @@ COVARIATES = (
 # Largest numbers of clocks that count from 1970, in units that programs write; what is larger counts nanoseconds.
 EPOCH = {"s": 1e11, "ms": 1e14, "us": 1e17}
 
-SAMPLES = "n"
+SAMPLES_COLUMN = "n"
 """The column in which `aridcal merge` counts the samples behind a row."""
 
 POSE_NOISE = "{position: …, rotation: …}, 1 sigma per axis, m and rad"
@@ -65,7 +65,7 @@ def say_covariates(
     proposal.say("measurements.noise", None, why)
     free = [name for name in table.names if name and name not in used and name not in STD]
     for quantity, si_unit, spellings in COVARIATES:
-        column = named(free, *spellings)
+        column = named_column(free, *spellings)
         if quantity == "time" and clock in free:
             free.remove(clock)
             proposal.say_columns({quantity: clock}, "dates, in seconds")
@@ -119,7 +119,7 @@ def _no_covariate(table: Table, name: str, in_families: Collection[str]) -> str:
         return ""
     if set(words(name)) & SCATTER_WORDS:
         return "how well something was measured"
-    if name == SAMPLES:
+    if name == SAMPLES_COLUMN:
         return "how many samples a row is the mean of"
     numbers, _ = table.numbers(name)
     values = numbers[np.isfinite(numbers)]
@@ -132,7 +132,7 @@ def _no_covariate(table: Table, name: str, in_families: Collection[str]) -> str:
     return "of another pose or chain" if name in in_families else ""
 
 
-def say_repeats(q: np.ndarray, reading: Reading, proposal: Proposal) -> None:
+def say_repeats(q: np.ndarray, reading: TableReading, proposal: Proposal) -> None:
     """Say how many rows repeat a configuration.
 
     Args:

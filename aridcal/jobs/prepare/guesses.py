@@ -40,12 +40,12 @@ class Guess:
         return self.key.rpartition(".")[2]
 
 
-class Unanswered(AridcalError):
+class OpenChoice(AridcalError):
     """The data leave a choice that changes every number, and nobody was there to make it."""
 
 
 @dataclass(frozen=True)
-class Asker:
+class Chooser:
     """Makes choices that the data leave open.
 
     Attributes:
@@ -80,7 +80,7 @@ class Asker:
         if answer is None:
             place = key if key.startswith(("robot.", "instruments.")) else f"measurements.{key}"
             becomes = f"This becomes `{place}`. " if self.drafts else ""
-            raise Unanswered(
+            raise OpenChoice(
                 f"{question}? {why[:1].upper()}{why[1:]}. {becomes}Run this again with "
                 f"`--set {key}=NUMBER`: {_numbered(answers)}"
             )
@@ -145,5 +145,5 @@ def ask(choose: Choose, question: str, answers: Sequence[str], why: str) -> tupl
     return answer or 0, answer is not None
 
 
-def nobody(question: str, answers: Sequence[str], why: str) -> None:
+def leave_open(question: str, answers: Sequence[str], why: str) -> None:
     """Leaves every question open: what changes no number is guessed and said to be, and all else is an error."""

@@ -12,7 +12,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.files.measurement_settings import TARGET
 from aridcal.files.tables import Table
 from aridcal.jobs.prepare.column_names import match_joints
-from aridcal.jobs.prepare.guesses import Asker, Proposal
+from aridcal.jobs.prepare.guesses import Chooser, Proposal
 from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO, sensible
 from aridcal.jobs.prepare.units_and_angles import rounded
 from aridcal.system.errors import MeasurementError
@@ -58,7 +58,7 @@ class Limbs:
 
 
 def limbs_of(
-    chains: Chains, table: Table, tip: Callable[[Sequence[Robot]], Robot], fit: Fit, asker: Asker
+    chains: Chains, table: Table, tip: Callable[[Sequence[Robot]], Robot], fit: Fit, asker: Chooser
 ) -> Limbs | None:
     """The limbs of a table with columns of several, or with targets that are called like links.
 
@@ -155,7 +155,7 @@ def _limbs_by_label(robots: Mapping[str, Robot], chains: Chains, table: Table) -
 
 
 def _limb_of_rows(
-    label: str | None, limbs: Sequence[tuple[Robot, dict[str, str]]], table: Table, fit: Fit, asker: Asker
+    label: str | None, limbs: Sequence[tuple[Robot, dict[str, str]]], table: Table, fit: Fit, asker: Chooser
 ) -> tuple[int, str]:
     """The index of the limb that some rows are of, and why: it alone has numbers, or its nominal robot agrees with the rows.
 

@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.files.orientations import QUATERNION
 from aridcal.files.quantities import SAME_ORIENTATION, STD
 from aridcal.files.tables import Table
-from aridcal.files.yaml_file import LARGEST
+from aridcal.files.yaml_file import LARGEST_SETTING
 from aridcal.jobs.prepare.column_names import (
     COMMANDED_WORDS,
     MEASURED_WORDS,
@@ -20,9 +20,9 @@ from aridcal.jobs.prepare.column_names import (
     matrices,
     quaternions,
 )
-from aridcal.jobs.prepare.guesses import Asker, Proposal
+from aridcal.jobs.prepare.guesses import Chooser, Proposal
 from aridcal.jobs.prepare.units_and_angles import (
-    Reading,
+    TableReading,
     Writing,
     angle_writings,
     different,
@@ -59,7 +59,13 @@ class _Columns:
 
 
 def say_orientation(
-    table: Table, used: set[str], place: Family, rows: np.ndarray, reading: Reading, asker: Asker, proposal: Proposal
+    table: Table,
+    used: set[str],
+    place: Family,
+    rows: np.ndarray,
+    reading: TableReading,
+    asker: Chooser,
+    proposal: Proposal,
 ) -> set[str]:
     """Say which columns are the orientation, and how it is written: as the nominal robot agrees with it.
 
@@ -150,7 +156,7 @@ def _refuse_second(table: Table, rows: np.ndarray, first: _Columns, best: Writin
             )
 
 
-def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, reading: Reading) -> list[_Columns]:
+def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, reading: TableReading) -> list[_Columns]:
     """Columns that may be an orientation, those of four numbers first."""
     free = [name for name in table.names if name and name not in used]
     candidates, in_matrices = [], set()
@@ -185,4 +191,4 @@ def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, r
 def sensible(table: Table, columns: Sequence[str]) -> np.ndarray:
     """Columns as numbers, shape (N, columns); NaN where there is none, or one so large that it stands for a hole."""
     values = table.matrix(columns)
-    return np.where(np.abs(values) <= LARGEST, values, np.nan)
+    return np.where(np.abs(values) <= LARGEST_SETTING, values, np.nan)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.files.tables import ENDINGS, Table
+from aridcal.files.tables import TABLE_ENDINGS, Table
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.boards.camera_file import CAMERA_FILE, CameraFile
 from aridcal.jobs.prepare.column_names import positions, unit, words
 from aridcal.jobs.prepare.guesses import Proposal
-from aridcal.system.errors import MeasurementError, listed
+from aridcal.system.errors import MeasurementError, name_list
 
 MARKERS_FILE = "markers.csv"
 """Beside a table of pixels: places of the marks on their board, as `aridcal print` writes it."""
@@ -63,7 +63,7 @@ OTHER_KINDS = (
 """The first whose columns are all there is meant."""
 
 
-def other_kind(table: Table, used: set[str]) -> tuple[OtherKind, dict[str, str]] | None:
+def kind_of_table(table: Table, used: set[str]) -> tuple[OtherKind, dict[str, str]] | None:
     """The kind of a table that has no positions of the target.
 
     Args:
@@ -111,11 +111,11 @@ def say_other_kind(
     Returns:
         The columns that belong to it.
     """
-    proposal.say("measurements.kind", kind.name, f"the columns {listed(list(columns.values()))}, and no positions")
+    proposal.say("measurements.kind", kind.name, f"the columns {name_list(list(columns.values()))}, and no positions")
     proposal.say_columns(columns, "by their names")
     spare = [name for name in kind.spare if name in table.cells]
     _say_units(kind, columns, table, joints, turning, proposal)
-    remark = REMARKS.get(kind.name)
+    remark = REMARKS_BY_KIND.get(kind.name)
     if remark:
         remark(table, proposal)
     return {*columns.values(), *spare}
@@ -149,7 +149,8 @@ def _say_units(
     by_header = {unit(name) or "" for name in lengths} & {"m", "mm", "cm", "in"}
     if len(by_header) > 1:
         raise MeasurementError(
-            f"{table.title}: the columns {listed(lengths)} are in different units, but `units` speaks of all lengths of a file: "
+            f"{table.title}: the columns {name_list(lengths)} are in different units, but `units` speaks of all lengths of a "
+            f"file: "
             "convert one of them"
         )
     if by_header and by_header != {"m"}:
@@ -186,7 +187,10 @@ def _say_cameras(table: Table, proposal: Proposal) -> None:
     lacking = [label for label in labels if label not in cameras_known]
     why = f"from {CAMERA_FILE}, which `aridcal detect` wrote; `on: world` if it stands beside the arm"
     if lacking:
-        why = f"no {CAMERA_FILE} tells of {listed(lacking)}: width and height are where the marks end. Write those of the images"
+        why = (
+            f"no {CAMERA_FILE} tells of {name_list(lacking)}: width and height are where the marks end. "
+            "Write those of the images"
+        )
     proposal.say("instruments.cameras", cameras, why, sure=False)
     if home and (home / MARKERS_FILE).is_file():
         proposal.say(
@@ -209,11 +213,11 @@ def _say_lengths(table: Table, proposal: Proposal) -> None:
     proposal.say("lengths", None, why, sure=False)
 
 
-REMARKS: dict[str, Callable[[Table, Proposal], None]] = {"pixels": _say_cameras, "point": _say_lengths}
+REMARKS_BY_KIND: dict[str, Callable[[Table, Proposal], None]] = {"pixels": _say_cameras, "point": _say_lengths}
 """Further remarks, by the name of the kind."""
 
 
 def _folder(table: Table) -> Path | None:
     """Where the table is; None if it is no file."""
     path = table.files[0]
-    return path.parent if path.suffix.lower() in ENDINGS else None
+    return path.parent if path.suffix.lower() in TABLE_ENDINGS else None

@@ -24,7 +24,7 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
 from aridcal.files.measurement_settings import ANGLES, JointColumn, MeasurementSettings
 from aridcal.files.orientations import QUATERNION, column_of
-from aridcal.files.quantities import POSITION, STD
+from aridcal.files.quantities import POSITION_COLUMNS, STD
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import read_tables
 from aridcal.jobs.prepare.units_and_angles import TRIED_LENGTHS, rounded
@@ -65,7 +65,7 @@ TURNED_BACK: dict[str, Literal["pose", "orientation"] | None] = {
 
 
 @dataclass(frozen=True)
-class Other:
+class OtherReading:
     """Another way to read a table.
 
     Attributes:
@@ -84,7 +84,7 @@ class Other:
 
 
 @dataclass(frozen=True)
-class Left:
+class ReadingResidual:
     """What frames, or frames and constants, leave of a reading, per axis.
 
     Attributes:
@@ -123,7 +123,7 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
     labels = station_labels(campaign.question, rows)
     if geometry is not None:
         remainders = [
-            Left(robust_sigma(unscaled(better.residual, train.relative), train.channels), _spread(train))
+            ReadingResidual(robust_sigma(unscaled(better.residual, train.relative), train.channels), _spread(train))
             for better in (geometry.nominal, geometry.geometric)
         ]
         if remainders[0].share < USUAL_NOMINAL and remainders[1].share < USUAL:
@@ -154,7 +154,9 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
         )
 
 
-def _far_less(fit: tuple[Left, Left], campaign_fit: tuple[Left, Left | None]) -> bool:
+def _far_less(
+    fit: tuple[ReadingResidual, ReadingResidual], campaign_fit: tuple[ReadingResidual, ReadingResidual | None]
+) -> bool:
     """True if a reading leaves far less than the campaign's own in one stage, and not much more in the other.
 
     Constants alone are no judge: they may stretch an arm to another unit of length, or turn an axis round.
@@ -193,30 +195,30 @@ def _rows(
 
 def _nominal(
     campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: pd.DataFrame, labels: tuple[str, ...]
-) -> Left | None:
+) -> ReadingResidual | None:
     """What frames alone leave of a reading; None: it cannot be read so."""
     try:
         changed, rows = _rows(campaign, robot, settings, table)
-        return Left(nominal_sigma(changed.question, robot, rows, labels), _spread(rows))
+        return ReadingResidual(nominal_sigma(changed.question, robot, rows, labels), _spread(rows))
     except (AridcalError, ValueError, np.linalg.LinAlgError):
         return None
 
 
 def _geometric(
     campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: pd.DataFrame, labels: tuple[str, ...]
-) -> Left | None:
+) -> ReadingResidual | None:
     """What frames and constants leave of a reading; None: it cannot be read so."""
     try:
         changed, rows = _rows(campaign, robot, settings, table)
         fit = fit_geometry(changed.question, robot, rows, labels).geometric
-        return Left(robust_sigma(unscaled(fit.residual, rows.relative), rows.channels), _spread(rows))
+        return ReadingResidual(robust_sigma(unscaled(fit.residual, rows.relative), rows.channels), _spread(rows))
     except (AridcalError, ValueError, np.linalg.LinAlgError):
         return None
 
 
 def _fit_of_campaign(
     campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: pd.DataFrame, labels: tuple[str, ...]
-) -> tuple[Left, Left | None] | None:
+) -> tuple[ReadingResidual, ReadingResidual | None] | None:
     """Both stages of the campaign's own reading, the second None where constants cannot be fitted; None: neither can."""
     nominal = _nominal(campaign, robot, settings, table, labels)
     return None if nominal is None else (nominal, _geometric(campaign, robot, settings, table, labels))
@@ -228,7 +230,7 @@ def _spread(rows: Dataset) -> float:
     return float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
 
 
-def _other_ways(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
+def _other_ways(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[OtherReading]:
     """Every other reading that differs from the campaign's by one slip."""
     if settings.traits.oriented:
         yield from _orientations(settings, robot, table)
@@ -236,25 +238,25 @@ def _other_ways(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame
     yield from _joints(settings, robot, table)
 
 
-def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
+def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[OtherReading]:
     """Other orders of quaternions, other writings of angles, and poses the other way round."""
     angles = settings.orientation.angles
     if angles is None and settings.orientation.matrix is None:
         columns = [column_of(name, settings, robot.readings) for name in QUATERNION]
         for what, order in (("scalar-first quaternions", (1, 2, 3, 0)), ("scalar-last quaternions", (3, 0, 1, 2))):
             mapped = dict(zip(QUATERNION, (columns[k] for k in order), strict=True))
-            yield Other(what, _write(f"columns: {_braces(mapped)}"), _with(settings, columns=mapped), table)
+            yield OtherReading(what, _write(f"columns: {_braces(mapped)}"), _with(settings, columns=mapped), table)
     if angles is not None:
         names = list(angles)
         for word in EULER_SEQUENCES:
             if word != settings.orientation.euler:
                 spec = {"euler": word, "columns": tuple(names), "rotvec": None}
                 key = f"orientation: {{euler: {word}, columns: [{', '.join(names)}]}}"
-                yield Other(f"Euler angles {word}", _write(key), _oriented(settings, spec), table)
+                yield OtherReading(f"Euler angles {word}", _write(key), _oriented(settings, spec), table)
         if settings.orientation.rotvec is None:
             spec = {"euler": None, "columns": None, "rotvec": tuple(names)}
             key = f"orientation: {{rotvec: [{', '.join(names)}]}}"
-            yield Other("rotation vectors", _write(key), _oriented(settings, spec), table)
+            yield OtherReading("rotation vectors", _write(key), _oriented(settings, spec), table)
     std_columns = {column_of(name, settings, robot.readings) for name in STD} & set(table)
     for what, inverted in TURNED_BACK.items():
         if inverted != settings.inverted:
@@ -267,29 +269,29 @@ def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFra
                 remedy += ", or exchange `robot.base` and `robot.tip`"
             if inverted and settings.noise.rows != "ignore" and std_columns:
                 remedy += " and `noise: {rows: ignore}`"
-            yield Other(what, remedy, changed, table)
+            yield OtherReading(what, remedy, changed, table)
 
 
-def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
+def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[OtherReading]:
     """Other units of all lengths, of all angles, and of the positions alone where joints slide."""
     for unit in TRIED_LENGTHS:
         if unit != settings.units.length:
             units = settings.units.model_copy(update={"length": unit})
             changed = settings.model_copy(update={"units": units})
-            yield Other(
+            yield OtherReading(
                 f"lengths in {UNITS_IN_WORDS.get(unit, unit)}", _write(f"units: {{length: {unit}}}"), changed, table
             )
             if "prismatic" in robot.kinds:
-                place = [column_of(name, settings, robot.readings) for name in POSITION]
+                place = [column_of(name, settings, robot.readings) for name in POSITION_COLUMNS]
                 yield _columns_in(
                     f"positions in {UNITS_IN_WORDS.get(unit, unit)}", dict.fromkeys(place, unit), settings, table
                 )
     unit = _other_angle(settings)
     changed = settings.model_copy(update={"units": settings.units.model_copy(update={"angle": unit})})
-    yield Other(f"angles in {UNITS_IN_WORDS[unit]}", _write(f"units: {{angle: {unit}}}"), changed, table)
+    yield OtherReading(f"angles in {UNITS_IN_WORDS[unit]}", _write(f"units: {{angle: {unit}}}"), changed, table)
 
 
-def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
+def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[OtherReading]:
     """One joint with the other sign, another zero or in another unit, and two exchanged."""
     columns = {name: settings.columns.get(name, name) for name in robot.readings}
     for (joint, column), kind in zip(columns.items(), robot.kinds, strict=True):
@@ -306,10 +308,10 @@ def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) ->
     for one, two in itertools.combinations(columns, 2):
         mapped = {one: columns[two], two: columns[one]}
         remedy = _write(f"columns: {_braces(mapped)}")
-        yield Other(f"{one} and {two} exchanged", remedy, _with(settings, columns=mapped), table)
+        yield OtherReading(f"{one} and {two} exchanged", remedy, _with(settings, columns=mapped), table)
 
 
-def _zeros(settings: MeasurementSettings, joint: str, table: pd.DataFrame) -> Iterator[Other]:
+def _zeros(settings: MeasurementSettings, joint: str, table: pd.DataFrame) -> Iterator[OtherReading]:
     """A joint that counts from another quarter of a turn, or that way and backwards, as controllers and URDFs often differ."""
     for sign, how in ((1, ""), (-1, " and the other sign")):
         for turns in (1, -1, 2):
@@ -321,7 +323,7 @@ def _zeros(settings: MeasurementSettings, joint: str, table: pd.DataFrame) -> It
 
 def _with_count(
     what: str, joint: str, sign: int, turns: int, settings: MeasurementSettings, table: pd.DataFrame, doubt: float = 1.0
-) -> Other:
+) -> OtherReading:
     """A joint whose reading is ``sign`` times the campaign's plus ``turns`` quarters of a turn."""
     before = settings.joints.get(joint, JointColumn())
     new_sign = sign * before.sign
@@ -332,13 +334,13 @@ def _with_count(
     counts = JointColumn.model_construct(sign=new_sign, zero=zero)
     keys = {**({"zero": zero} if zero else {}), **({"sign": str(new_sign)} if new_sign < 0 or not zero else {})}
     changed = settings.model_copy(update={"joints": {**settings.joints, joint: counts}})
-    return Other(what, _write(f"joints: {{{joint}: {_braces(keys)}}}"), changed, table, doubt)
+    return OtherReading(what, _write(f"joints: {{{joint}: {_braces(keys)}}}"), changed, table, doubt)
 
 
-def _columns_in(what: str, units: dict[str, str], settings: MeasurementSettings, table: pd.DataFrame) -> Other:
+def _columns_in(what: str, units: dict[str, str], settings: MeasurementSettings, table: pd.DataFrame) -> OtherReading:
     """Single columns in another unit."""
     units_changed = settings.units.model_copy(update={"columns": {**settings.units.columns, **units}})
-    return Other(
+    return OtherReading(
         what,
         _write(f"units: {{columns: {_braces(units)}}}"),
         settings.model_copy(update={"units": units_changed}),

@@ -24,7 +24,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.files.measurement_settings import ANGLES, LENGTHS
 from aridcal.files.orientations import MATRIX_SLACK, QUATERNION
-from aridcal.files.quantities import TURNS
+from aridcal.files.quantities import TWO_TURNS
 from aridcal.jobs.prepare.column_names import Family, MatrixColumns
 
 # Units of length that tables of robots are in; the others are to be stated.
@@ -34,7 +34,7 @@ MOST_SIZE_RATIO = 6.0
 # Units whose clouds differ by no more than this factor from the best are tried too.
 SIMILAR_SIZE_RATIO = 1.5
 # Keeps clouds that are one point from dividing by zero, [m].
-LEAST_SPREAD = 1e-9
+LEAST_READING_SPREAD = 1e-9
 # Euler angles whose columns name their axes.
 AXIS_SEQUENCES = ("xyz", "XYZ", "XZY", "YXZ", "YZX", "ZXY")
 # Euler angles in columns such as A B C. Fixed xyz is turning ZYX with the columns reversed.
@@ -70,7 +70,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Reading:
+class TableReading:
     """One way to read joints and positions.
 
     Attributes:
@@ -113,7 +113,7 @@ class Writing:
     angle: str | None = None
 
 
-def readings(sample: Sample, robot: Robot) -> list[Reading]:
+def readings(sample: Sample, robot: Robot) -> list[TableReading]:
     """Every way to read joints and positions that is not off by a power of ten, the best fit first."""
     frames = (None, "world_base", "tip_target") if sample.station.any() else (None,)
     units = _combinations(sample)
@@ -124,7 +124,7 @@ def readings(sample: Sample, robot: Robot) -> list[Reading]:
     return sorted(ways, key=lambda reading: reading.share)
 
 
-def one_slip_away(sample: Sample, robot: Robot, ways: Sequence[Reading]) -> Reading:
+def fit_with_one_slip(sample: Sample, robot: Robot, ways: Sequence[TableReading]) -> TableReading:
     """The best fit of some ways to read the columns, if one joint counts backwards or from another quarter of a turn.
 
     Args:
@@ -157,7 +157,7 @@ def _size_ratio(sample: Sample, robot: Robot, angle: str, length: str, travel: s
     """How many times larger or smaller the measured cloud is than the cloud of the nominal robot's tips, at least 1."""
     _, tips = tip_frames(robot, _si_readings(sample, angle, travel))
     measured = _spread(sample.position) * LENGTHS[length]
-    ratio = (measured + LEAST_SPREAD) / (_spread(tips) + LEAST_SPREAD)
+    ratio = (measured + LEAST_READING_SPREAD) / (_spread(tips) + LEAST_READING_SPREAD)
     return max(ratio, 1 / ratio)
 
 
@@ -173,7 +173,7 @@ def _spread(points: np.ndarray) -> float:
     return float(np.sqrt(np.mean(squared)))
 
 
-def quaternion_writings(family: Family, values: np.ndarray, reading: Reading) -> list[Writing]:
+def quaternion_writings(family: Family, values: np.ndarray, reading: TableReading) -> list[Writing]:
     """Writings as quaternions, scalar last, or first as well where columns are numbered; values (N, 4), best fit first."""
     orders = {"quaternion x y z w": (0, 1, 2, 3)}
     if family.numbers:
@@ -189,12 +189,12 @@ def quaternion_writings(family: Family, values: np.ndarray, reading: Reading) ->
     return sorted(writings, key=lambda writing: writing.misfit)
 
 
-def angle_writings(family: Family, values: np.ndarray, reading: Reading) -> list[Writing]:
+def angle_writings(family: Family, values: np.ndarray, reading: TableReading) -> list[Writing]:
     """Writings as rotation vectors and Euler angles, in both units; values (N, 3), best fit first."""
     writings = []
     largest = np.nanmax(np.abs(values))
     for unit, radians in ANGLES.items():
-        if unit == "rad" and largest > TURNS:
+        if unit == "rad" and largest > TWO_TURNS:
             continue
         angles = _whole(values) * radians
         orientation: dict[str, Any] = {"rotvec": list(family.columns)}
@@ -213,7 +213,7 @@ def angle_writings(family: Family, values: np.ndarray, reading: Reading) -> list
     return sorted(writings, key=lambda writing: writing.misfit)
 
 
-def matrix_writings(columns: MatrixColumns, values: dict[str, np.ndarray], reading: Reading) -> list[Writing]:
+def matrix_writings(columns: MatrixColumns, values: dict[str, np.ndarray], reading: TableReading) -> list[Writing]:
     """Writings as a matrix row by row, or by column where cells are counted through; values (N,) each, best fit first."""
     writings = []
     for names in columns.rotation:
@@ -253,7 +253,7 @@ def _sequences(family: Family) -> Iterator[tuple[str, list[int]]]:
         yield sequence, by_axis if names_its_axis else [0, 1, 2]
 
 
-def _read(sample: Sample, robot: Robot, angle: str, length: str, travel: str, per: str | None) -> Reading:
+def _read(sample: Sample, robot: Robot, angle: str, length: str, travel: str, per: str | None) -> TableReading:
     """Fit the unknown frames for one way to read the columns, and see how far the targets then are."""
     R, p = tip_frames(robot, _si_readings(sample, angle, travel))
     m = sample.position * LENGTHS[length]
@@ -270,11 +270,11 @@ def _read(sample: Sample, robot: Robot, angle: str, length: str, travel: str, pe
         distance = np.linalg.norm(m - target, axis=1)
         starts.append((float(np.median(distance)), turn))
     metres, turn = min(starts, key=lambda start: start[0])
-    share = metres / max(_spread(m), LEAST_SPREAD)
-    return Reading(angle, length, travel, per, metres, share, turn, R)
+    share = metres / max(_spread(m), LEAST_READING_SPREAD)
+    return TableReading(angle, length, travel, per, metres, share, turn, R)
 
 
-def _misfit(measured: Rotation, values: np.ndarray, reading: Reading) -> float:
+def _misfit(measured: Rotation, values: np.ndarray, reading: TableReading) -> float:
     """Median angle between measured orientations and the nominal robot's, the target's own being free, [rad].
 
     The target's orientation on the tip, R_tip_target = (R_world_base R_base_tip)' R_measured, should be the same in every

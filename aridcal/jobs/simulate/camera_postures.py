@@ -10,14 +10,14 @@ import numpy as np
 from aridcal.engine.instruments.pixels import faces, in_image
 from aridcal.engine.instruments.setup import WORLD
 from aridcal.files.instrument_settings import Carrier
-from aridcal.files.things import BOARD, Known
+from aridcal.files.things import BOARD_PREFIX, InstrumentDeclarations
 from aridcal.jobs.simulate.true_things import (
     FACING,
     MARKER_BOX,
     RANGE_OF_TIP,
     RANGE_OF_WORLD,
-    Real,
     RealCamera,
+    RealThings,
     TrueCamera,
     TrueThings,
     real_camera,
@@ -57,7 +57,7 @@ class Sight:
         size: Width and height of each camera's images, shape (C, 2), [px].
     """
 
-    real: dict[str, Real]
+    real: dict[str, RealThings]
     boards: tuple[tuple[int, ...], ...]
     markers: tuple[np.ndarray, ...]
     printed: tuple[bool, ...]
@@ -160,15 +160,15 @@ class _Setup:
             numbers.append(first + np.arange(len(board.labels)))
             first += len(board.labels)
         real = {
-            "camera": Real(tuple(self.cameras), np.array([camera.state for camera in self.cameras.values()])),
-            "board": Real(tuple(BOARD + board.carrier for board in self.boards), np.array(boards)),
-            "marker": Real(tuple(n for board in self.boards for n in board.labels), np.concatenate(markers)),
+            "camera": RealThings(tuple(self.cameras), np.array([camera.state for camera in self.cameras.values()])),
+            "board": RealThings(tuple(BOARD_PREFIX + board.carrier for board in self.boards), np.array(boards)),
+            "marker": RealThings(tuple(n for board in self.boards for n in board.labels), np.concatenate(markers)),
         }
         printed = tuple(board.printed for board in self.boards)
         return Sight(real, self.looked_at, tuple(numbers), printed, self.size)
 
 
-def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.random.Generator) -> Sight:
+def sight(things: TrueThings, known: InstrumentDeclarations, tips: Tips, draw: Draw, rng: np.random.Generator) -> Sight:
     """Cameras and markers as they are; see :mod:`aridcal.jobs.simulate.true_things`.
 
     What is not given stands where the arm shows or sees it from many postures: the best of some places.
@@ -202,7 +202,9 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
     return setup.sight(np.eye(4))
 
 
-def _board(carrier: Carrier, alone: bool, things: TrueThings, known: Known, rng: np.random.Generator) -> _Board:
+def _board(
+    carrier: Carrier, alone: bool, things: TrueThings, known: InstrumentDeclarations, rng: np.random.Generator
+) -> _Board:
     """The markers on a carrier; those of the world have no place yet where nobody says it.
 
     Args:
@@ -213,7 +215,7 @@ def _board(carrier: Carrier, alone: bool, things: TrueThings, known: Known, rng:
         rng: Draws markers, and how a printed board's are off.
     """
     place: np.ndarray | None = None
-    board = known.boards.get(BOARD + carrier)
+    board = known.boards.get(BOARD_PREFIX + carrier)
     if board is not None:
         markers = {label: marker for label, marker in known.markers.items() if marker.on == carrier}
         labels = tuple(markers)
@@ -241,7 +243,7 @@ def _with_places(setup: _Setup, number: int, tips: Tips, draw: Draw) -> _Setup:
     board = setup.boards[b]
     if board.place is not None if camera.on_tip else camera.given:
         return setup
-    board_name = BOARD + board.carrier
+    board_name = BOARD_PREFIX + board.carrier
     carrier_places = np.tile(
         np.eye(4), (PLACES, 1, 1)
     )  # places of the camera's carrier in the board's, or the other way round
@@ -301,7 +303,8 @@ def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place:
             if len(missing):
                 raise CampaignError(
                     f"{place}: the camera {seen.real['camera'].names[c]} sees the markers on "
-                    f"{seen.real['board'].names[board].removeprefix(BOARD)} from hardly any posture of the robot: move camera "
+                    f"{seen.real['board'].names[board].removeprefix(BOARD_PREFIX)} from hardly any posture of the robot: move "
+                    f"camera "
                     "or markers under `truth.instruments`"
                 )
     return readings, shown

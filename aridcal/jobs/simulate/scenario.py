@@ -7,13 +7,13 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from aridcal.engine.corrections.catalogue import KINDS, is_of_head
-from aridcal.engine.corrections.labels import STATION
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, is_of_head
+from aridcal.engine.corrections.labels import LABEL_COLUMN
 from aridcal.engine.corrections.loads import PAYLOAD
 from aridcal.engine.robot.chain import Robot
-from aridcal.files.campaign import Job
+from aridcal.files.campaign import JobSettings
 from aridcal.files.yaml_file import Section, Vector3
-from aridcal.jobs.simulate.true_effects import Parameter, TrueEffect, columns_needed, given
+from aridcal.jobs.simulate.true_effects import Parameter, TrueEffect, columns_needed, number_as_value
 from aridcal.jobs.simulate.true_things import TrueThings
 from aridcal.system.errors import CampaignError
 
@@ -62,7 +62,7 @@ class Outliers(Section):
 class Truth(Section):
     """What the simulated machine and its measurements are really like."""
 
-    parameters: dict[str, Annotated[Parameter, BeforeValidator(given)]] = Field(default_factory=dict)
+    parameters: dict[str, Annotated[Parameter, BeforeValidator(number_as_value)]] = Field(default_factory=dict)
     frames: TrueFrames = TrueFrames()
     effects: tuple[TrueEffect, ...] = ()
     covariates: tuple[str, ...] = ()
@@ -75,7 +75,7 @@ class Truth(Section):
     seed: int = Field(default=0, ge=0)
 
 
-class Scenario(Job):
+class Scenario(JobSettings):
     """A campaign's keys and the truth behind it."""
 
     truth: Truth
@@ -134,10 +134,10 @@ def check_scenario(scenario: Scenario) -> None:
         "truth.effects": (
             measurements.head is None
             and any(is_of_head(e.kind) and e.where not in scenario.instruments.cameras for e in truth.effects),
-            f"{', '.join(filter(is_of_head, KINDS))} need `kind: camera_sonar`, or a camera under `instruments`",
+            f"{', '.join(filter(is_of_head, EFFECT_KINDS))} need `kind: camera_sonar`, or a camera under `instruments`",
         ),
         "truth.effects: by": (
-            any(e.by == STATION for e in truth.effects),
+            any(e.by == LABEL_COLUMN for e in truth.effects),
             "stations are not simulated; name a joint, a column or `place`",
         ),
         "measurements.units": (_any_has(scenario, "units"), "the table is written in SI; delete this key"),

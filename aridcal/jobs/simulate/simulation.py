@@ -26,21 +26,21 @@ from aridcal.engine.robot.doty import links_down
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.files.campaign import DiagnosisSettings, nominal_robot
 from aridcal.files.orientations import QUATERNION, column_of
-from aridcal.files.quantities import POSITION
+from aridcal.files.quantities import POSITION_COLUMNS
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.head1992.head_settings import HeadSettings, load_squares
 from aridcal.jobs.head1992.render import Optics
-from aridcal.jobs.simulate.measuring import measured, targets
+from aridcal.jobs.simulate.measurements import simulate_measurements, targets
 from aridcal.jobs.simulate.scenario import Scenario, Truth, check_scenario, columns_of
-from aridcal.jobs.simulate.true_effects import Cause, Machine, draw_columns, make_causes
-from aridcal.jobs.simulate.true_things import Real, documents
+from aridcal.jobs.simulate.true_effects import Machine, PreparedEffect, draw_columns, make_causes
+from aridcal.jobs.simulate.true_things import RealThings, documents
 from aridcal.jobs.simulate.viewpoints import draw_views, photographed, true_head
 from aridcal.system.errors import CampaignError, MeasurementError, nearest
 from aridcal.system.progress import SILENT, Progress
 from aridcal.system.reading.regular_files import read_file
 from aridcal.system.reading.table_files import FIRST_LINE
 
-ROWS_AT_ONCE = 20_000
+SIMULATED_AT_ONCE = 20_000
 """Rows that are simulated, and written, at once: a second's work between two words of progress."""
 
 
@@ -65,10 +65,10 @@ class Simulation:
     tables: tuple[pd.DataFrame, ...]
     parameters: dict[str, float]
     frames: dict[str, pin.SE3]
-    causes: tuple[Cause, ...]
+    causes: tuple[PreparedEffect, ...]
     outliers: np.ndarray
     images: Mapping[str, bytes] = field(default_factory=dict)
-    real: Mapping[str, Real] = field(default_factory=dict)
+    real: Mapping[str, RealThings] = field(default_factory=dict)
 
     @property
     def measurements(self) -> pd.DataFrame:
@@ -162,7 +162,7 @@ def _among_things(
     machine = Machine(robot, constants, theta, frames["world_base"], targets(scenario, frames["tip_target"]))
     names = columns_of(scenario, robot, truth.effects)
     progress.at("moving the robot")
-    result = measured(scenario, machine, surroundings(scenario, frames, names), streams)
+    result = simulate_measurements(scenario, machine, surroundings(scenario, frames, names), streams)
     tips = {"tip_target": frames["tip_target"]} if len(machine.tips) == 1 else dict(machine.tips)
     return Simulation(
         scenario=scenario,
@@ -181,8 +181,8 @@ def _true_poses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """True rotations, shape (n, 3, 3), and positions, shape (n, 3), [m], a stretch of rows at a time."""
     R, p = np.empty((len(readings), 3, 3)), np.empty((len(readings), 3))
-    for first in progress.through(range(0, len(readings), ROWS_AT_ONCE), len(readings), "rows", ROWS_AT_ONCE):
-        part = slice(first, first + ROWS_AT_ONCE)
+    for first in progress.through(range(0, len(readings), SIMULATED_AT_ONCE), len(readings), "rows", SIMULATED_AT_ONCE):
+        part = slice(first, first + SIMULATED_AT_ONCE)
         R[part], p[part] = model.poses(theta, model.rows(readings[part], {k: v[part] for k, v in depends.items()}))
     return R, p
 
@@ -311,8 +311,10 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
             name = f"measurements_{number}.csv" if scenario.listed else "measurements.csv"
             blocks[number - 1] = {"file": name} | block
             with (folder / name).open("w", encoding="utf-8", newline="") as file:
-                for first in progress.through(range(0, len(table), ROWS_AT_ONCE), len(table), "rows", ROWS_AT_ONCE):
-                    table.iloc[first : first + ROWS_AT_ONCE].to_csv(file, index=False, header=first == 0)
+                for first in progress.through(
+                    range(0, len(table), SIMULATED_AT_ONCE), len(table), "rows", SIMULATED_AT_ONCE
+                ):
+                    table.iloc[first : first + SIMULATED_AT_ONCE].to_csv(file, index=False, header=first == 0)
         else:
             block["head"] = _write_shots(simulation, scenario.measurements.head, folder, home)
     keys["measurements"] = blocks if scenario.listed else blocks[0]
@@ -381,7 +383,7 @@ def _table(
     """The table of measurements, columns named as the campaign names them."""
     settings = scenario.measurements
     joints = dict(zip(robot.readings, readings.T, strict=True))
-    quantities = dict(zip(POSITION, position.T, strict=True))
+    quantities = dict(zip(POSITION_COLUMNS, position.T, strict=True))
     if settings.traits.oriented:
         quantities |= dict(zip(QUATERNION, rotation.as_quat(canonical=True).T, strict=True))
     quantities |= covariates

@@ -13,16 +13,16 @@ import pinocchio as pin
 from pydantic import BeforeValidator, Field, model_validator
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS, declared
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, declared
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Observed
-from aridcal.engine.corrections.loads import LOADS, PAYLOAD, Surroundings, covariate_table, is_load
+from aridcal.engine.corrections.effect_kind import ObservedRows
+from aridcal.engine.corrections.loads import LOAD_MARKS, PAYLOAD, Surroundings, covariate_table, is_load
 from aridcal.engine.corrections.sights import sight_table
 from aridcal.engine.corrections.smooth import Kernel, samples_root
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, Route
 from aridcal.files.campaign import EffectDeclaration
-from aridcal.files.yaml_file import LARGEST, Number, Section
+from aridcal.files.yaml_file import LARGEST_SETTING, Number, Section
 from aridcal.system.errors import CampaignError, nearest
 from aridcal.system.reading.table_files import FIRST_LINE
 
@@ -48,7 +48,7 @@ def _bell(distance: np.ndarray) -> np.ndarray:
 
 
 # Named functions: how many covariates each takes, all scaled to -1 .. 1 over the rows, and its value, at most 1.
-FUNCTIONS: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
+ERROR_CURVES: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
     "line": (1, lambda u: u),
     "bow": (1, lambda u: 1.0 - u**2),
     "kink": (1, np.abs),
@@ -65,16 +65,16 @@ class Parameter(Section):
     """A true value: given, or drawn from a normal distribution."""
 
     value: Number = 0.0
-    std: float = Field(default=0.0, ge=0, le=LARGEST)
+    std: float = Field(default=0.0, ge=0, le=LARGEST_SETTING)
 
 
-def given(value: Any) -> Any:
+def number_as_value(value: Any) -> Any:
     """Let a plain number stand for a value that is not drawn."""
     return {"value": value} if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 def _given_list(values: Any) -> Any:
-    return tuple(given(v) for v in (values if isinstance(values, list | tuple) else (values,)))
+    return tuple(number_as_value(v) for v in (values if isinstance(values, list | tuple) else (values,)))
 
 
 class TrueEffect(EffectDeclaration):
@@ -85,29 +85,29 @@ class TrueEffect(EffectDeclaration):
     """
 
     form: str | None = None
-    """Key of :data:`FUNCTIONS`."""
+    """Key of :data:`ERROR_CURVES`."""
     coefficients: Annotated[tuple[Parameter, ...], BeforeValidator(_given_list)]
     """In the order of the catalogue, [m] or [rad] per unit of the basis; one ``{std}`` draws them all."""
 
     @model_validator(mode="after")
     def _can_be_simulated(self) -> TrueEffect:
         if self.form is not None:
-            if self.form not in FUNCTIONS:
-                raise ValueError(f"form: no function {self.form!r}{nearest(self.form, FUNCTIONS)}")
-            kind = KINDS[self.kind]
+            if self.form not in ERROR_CURVES:
+                raise ValueError(f"form: no function {self.form!r}{nearest(self.form, ERROR_CURVES)}")
+            kind = EFFECT_KINDS[self.kind]
             if not kind.curve:
-                *others, last = (k.name for k in KINDS.values() if k.curve)
+                *others, last = (k.name for k in EFFECT_KINDS.values() if k.curve)
                 raise ValueError(f"form: belongs to {', '.join(others)} and {last}; {self.kind} has its own")
             if not kind.named and (self.motion is None or self.covariates is None):
                 raise ValueError(f"an {self.kind} effect with a `form` needs `motion` and `covariates`")
-            count = FUNCTIONS[self.form][0]
+            count = ERROR_CURVES[self.form][0]
             if len(self.covariates or ("",)) != count:
                 raise ValueError(f"form: {self.form} is a function of {count} covariates")
         return self
 
 
 @dataclass(frozen=True)
-class Cause:
+class PreparedEffect:
     """A true effect made ready for the model.
 
     Attributes:
@@ -159,13 +159,15 @@ class Machine:
         bare = replace(bare, routes=(route,))
         return lambda readings: bare.poses(theta, bare.rows(readings, target=np.full(len(readings), label)))
 
-    def model(self, causes: Sequence[Cause] = (), around: Surroundings | None = None) -> tuple[Model, np.ndarray]:
+    def model(
+        self, causes: Sequence[PreparedEffect] = (), around: Surroundings | None = None
+    ) -> tuple[Model, np.ndarray]:
         """The machine as a model, and its true coefficients."""
         faults, values = self.faults(causes, around or Surroundings())
         made = faults.with_coefficients((*self.constants, *faults.coefficients))
         return made, np.concatenate([self.theta, values])
 
-    def faults(self, causes: Sequence[Cause], around: Surroundings) -> tuple[Model, np.ndarray]:
+    def faults(self, causes: Sequence[PreparedEffect], around: Surroundings) -> tuple[Model, np.ndarray]:
         """A model with the effects alone, without the constants, and their true coefficients."""
         of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
         frames = ((None, self.world),), tuple(self.tips.items())
@@ -175,7 +177,7 @@ class Machine:
 
 def columns_needed(effects: Sequence[TrueEffect], robot: Robot) -> tuple[str, ...]:
     """Columns beside the joints that some effects depend on, each once."""
-    names = dict.fromkeys(name for e in effects for name in KINDS[e.kind].columns(e))
+    names = dict.fromkeys(name for e in effects for name in EFFECT_KINDS[e.kind].columns(e))
     return tuple(name for name in names if name not in robot.names and not is_load(name))
 
 
@@ -227,7 +229,7 @@ def make_causes(
     tip: np.ndarray | None = None,
     held: Mapping[tuple[str, str], tuple[str, ...]] | None = None,
     places: Mapping[str, np.ndarray] | None = None,
-) -> tuple[list[Cause], dict[str, np.ndarray]]:
+) -> tuple[list[PreparedEffect], dict[str, np.ndarray]]:
     """Turn effects into coefficients of the model.
 
     Args:
@@ -252,13 +254,15 @@ def make_causes(
     world = np.zeros(len(readings), dtype=int)
     order = np.arange(len(readings)) + float(FIRST_LINE) if lines is None else lines
     depends = {**columns, ROW_ORDER: order}
-    table = covariate_table(robot, readings, depends, around, world, set(LOADS))
+    table = covariate_table(robot, readings, depends, around, world, set(LOAD_MARKS))
     at_tip = world if tip is None else tip
     if places is None:
         places = sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
     table |= places
     referred = dict.fromkeys(held or {}, len(readings))
-    rows = Observed(robot, table, tuple(columns), held=held or {}, referred=referred, masses=around.masses)
+    rows = ObservedRows(
+        robot, table, tuple(columns), stated_components=held or {}, referred=referred, masses=around.masses
+    )
     causes = []
     for e in effects:
         ranges: dict[str, tuple[float, float]] = {}
@@ -269,7 +273,7 @@ def make_causes(
             column = f"{e.form}({','.join(names)})"
             depends[column], ranges = _function(e, names, table, place)
             effect = _functional(e, column, robot, place)
-        causes.append(Cause(effect, values(e, effect, rng, place), ranges))
+        causes.append(PreparedEffect(effect, values(e, effect, rng, place), ranges))
     return causes, depends
 
 
@@ -285,7 +289,7 @@ def _function(
         low, high = float(table[name].min()), float(table[name].max())
         ranges[name] = (low, high)
         scaled.append((2.0 * table[name] - low - high) / max(high - low, 1e-300))
-    return np.asarray(FUNCTIONS[e.form][1](*scaled)), ranges
+    return np.asarray(ERROR_CURVES[e.form][1](*scaled)), ranges
 
 
 def _functional(e: TrueEffect, column: str, robot: Robot, place: str) -> Effect:
@@ -293,7 +297,7 @@ def _functional(e: TrueEffect, column: str, robot: Robot, place: str) -> Effect:
     if e.where not in places:
         raise CampaignError(f"{place}: effects: no place {e.where!r}{nearest(e.where, places)}")
     frame = e.where in ("world_base", "tip_target")
-    components = tuple(c for c in KINDS[e.kind].curve if not frame or c in FRAME_COMPONENTS)
+    components = tuple(c for c in EFFECT_KINDS[e.kind].curve if not frame or c in FRAME_COMPONENTS)
     motion = e.motion or components
     for component in motion:
         if component not in components:

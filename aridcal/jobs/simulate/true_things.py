@@ -14,7 +14,7 @@ from aridcal.engine.instruments.camera import INTRINSICS
 from aridcal.engine.instruments.joined import GRASP
 from aridcal.engine.instruments.setup import WORLD
 from aridcal.files.instrument_settings import Label, LengthSettings, Placement
-from aridcal.files.things import Known
+from aridcal.files.things import InstrumentDeclarations
 from aridcal.files.yaml_file import Number, Positive, Section, Vector3
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
@@ -86,7 +86,7 @@ class TrueThings(Section):
 
 
 @dataclass(frozen=True)
-class Real:
+class RealThings:
     """Things of one role as they are.
 
     Attributes:
@@ -105,7 +105,9 @@ def _labels(stated: int | Mapping[str, object], known: Sequence[str], word: str)
     return tuple(known) or tuple(f"{word}_{k + 1}" for k in range(stated))
 
 
-def true_points(things: TrueThings, known: Known, around: Around, rng: np.random.Generator) -> Real:
+def true_points(
+    things: TrueThings, known: InstrumentDeclarations, around: Around, rng: np.random.Generator
+) -> RealThings:
     """Points: as given, as the campaign's table has them but for its sigma, or drawn where the arm reaches, or on their link.
 
     Args:
@@ -129,7 +131,7 @@ def true_points(things: TrueThings, known: Known, around: Around, rng: np.random
             points[name] = known.points[name].xyz + (std * rng.standard_normal(3) if np.isfinite(std) else 0.0)
         else:
             points[name] = _apart(name, lengths, points, around(known.carrier("point", name)), rng)
-    return Real(tuple(points), np.array([*points.values()]).reshape(-1, 3))
+    return RealThings(tuple(points), np.array([*points.values()]).reshape(-1, 3))
 
 
 def _apart(
@@ -150,7 +152,9 @@ def _apart(
     return np.asarray(reachable[int(rng.integers(len(reachable)))])
 
 
-def true_anchors(things: TrueThings, known: Known, around: Around, rng: np.random.Generator) -> Real:
+def true_anchors(
+    things: TrueThings, known: InstrumentDeclarations, around: Around, rng: np.random.Generator
+) -> RealThings:
     """Anchors around the workspace; see :func:`true_points`."""
     given_anchors = things.anchors if isinstance(things.anchors, dict) else {}
     names = _labels(things.anchors, (*known.settings.anchors,), "anchor")
@@ -176,10 +180,12 @@ def true_anchors(things: TrueThings, known: Known, around: Around, rng: np.rando
                 scale if true.scale is None else true.scale,
             ]
         )
-    return Real(names, np.array(states, dtype=float))
+    return RealThings(names, np.array(states, dtype=float))
 
 
-def true_planes(things: TrueThings, known: Known, around: Around, rng: np.random.Generator) -> Real:
+def true_planes(
+    things: TrueThings, known: InstrumentDeclarations, around: Around, rng: np.random.Generator
+) -> RealThings:
     """Planes through the workspace, those that are known to be perpendicular so; see :func:`true_points`."""
     given_planes = things.planes if isinstance(things.planes, dict) else {}
     pairs = [pair.between for pair in known.settings.perpendicular]
@@ -203,10 +209,10 @@ def true_planes(things: TrueThings, known: Known, around: Around, rng: np.random
         if stated is not None and stated.offset is not None:
             offset = stated.offset
         planes[name] = np.array([*normal, offset if true is None else true.offset])
-    return Real(tuple(planes), np.array([*planes.values()]))
+    return RealThings(tuple(planes), np.array([*planes.values()]))
 
 
-def true_grasps(name: str, count: int, draw_poses: Callable[[int], tuple[np.ndarray, np.ndarray]]) -> Real:
+def true_grasps(name: str, count: int, draw_poses: Callable[[int], tuple[np.ndarray, np.ndarray]]) -> RealThings:
     """Poses of a link in the frame of another, where these hold one body.
 
     Args:
@@ -215,7 +221,7 @@ def true_grasps(name: str, count: int, draw_poses: Callable[[int], tuple[np.ndar
         draw_poses: Gives so many poses that the two can have: (n, 3, 3) and (n, 3), [m].
     """
     R, p = draw_poses(count)
-    return Real(tuple(f"{name}_{k + 1}" for k in range(count)), np.hstack([p, R.reshape(-1, 9)]))
+    return RealThings(tuple(f"{name}_{k + 1}" for k in range(count)), np.hstack([p, R.reshape(-1, 9)]))
 
 
 @dataclass(frozen=True)
@@ -245,7 +251,7 @@ def state_of_place(place: np.ndarray) -> np.ndarray:
     return np.r_[place[:3, 3], place[:3, :3].ravel()]
 
 
-def real_camera(known: Known, name: str, true: TrueCamera) -> RealCamera:
+def real_camera(known: InstrumentDeclarations, name: str, true: TrueCamera) -> RealCamera:
     """A camera as the scenario says, and where it does not, as the campaign states it."""
     stated = known.settings.cameras[name]
     lens = stated.intrinsics
@@ -259,7 +265,7 @@ def real_camera(known: Known, name: str, true: TrueCamera) -> RealCamera:
     return RealCamera(place, lens, stated.on != WORLD, true.given or stated.given)
 
 
-def documents(real: Mapping[str, Real]) -> dict[str, Any]:
+def documents(real: Mapping[str, RealThings]) -> dict[str, Any]:
     """Things that rows refer to as plain data, by role and name."""
     document: dict[str, Any] = {}
     for role, things in real.items():

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.engine.corrections.catalogue import declared, is_of_head
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.instruments.camera_sonar import Head
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
@@ -19,7 +19,7 @@ from aridcal.jobs.head1992.render import Optics, photograph
 from aridcal.jobs.head1992.shot_rows import head_of
 from aridcal.jobs.head1992.square import INCH
 from aridcal.jobs.simulate.scenario import Scenario
-from aridcal.jobs.simulate.true_effects import Cause, values
+from aridcal.jobs.simulate.true_effects import PreparedEffect, values
 from aridcal.system.errors import CampaignError
 from aridcal.system.progress import Progress
 
@@ -37,20 +37,20 @@ FEWEST_FIDUCIALS = 4
 POSTURES_IN_POOL = 4000
 
 # Rounds in which views that failed are drawn anew; after half of them, of squares that did not fail.
-DRAWING_ROUNDS = 40
+VIEWPOINT_ROUNDS = 40
 
 # Of Gauss-Newton towards a view.
 APPROACH_STEPS = 25
 
 # [rad]: the most that a joint turns in one step, as far as the linear model holds.
-LARGEST_STEP = 0.3
+LARGEST_VIEW_STEP = 0.3
 
 # [m²] of the normal equations: less than any joint that moves the camera, enough for one that does not.
-DAMPING = 1e-6
+VIEWPOINT_DAMPING = 1e-6
 
 # [m]: a turn of the camera counts as a shift of this times as much, somewhat more than its distance from the
 # square.
-LEVER = 0.5
+VIEW_LEVER = 0.5
 
 # Share of each joint's range that is left free at either end.
 LIMIT_MARGIN_SHARE = 0.01
@@ -84,8 +84,8 @@ def draw_views(
     readings = np.zeros((n, len(low)))
     looked_at = np.array([names[k % len(names)] for k in range(n)])
     missing = np.arange(n)
-    for attempt in range(DRAWING_ROUNDS):
-        if attempt > DRAWING_ROUNDS // 2:  # what cannot be reached is left out: another square takes its place
+    for attempt in range(VIEWPOINT_ROUNDS):
+        if attempt > VIEWPOINT_ROUNDS // 2:  # what cannot be reached is left out: another square takes its place
             reached = np.setdiff1d(np.arange(n), missing)
             if len(reached) == 0:
                 raise CampaignError(f"{place}: this arm brings the camera in front of none of the squares")
@@ -133,7 +133,7 @@ class _Pool:
     def nearest(self, at: np.ndarray, axis: np.ndarray) -> np.ndarray:
         """Return the posture nearest each wanted place (N, 3) and direction (N, 3), shape (N, columns)."""
         off = np.sum((self.places[None] - at[:, None]) ** 2, axis=2)
-        off += LEVER**2 * np.sum((self.axes[None] - axis[:, None]) ** 2, axis=2)
+        off += VIEW_LEVER**2 * np.sum((self.axes[None] - axis[:, None]) ** 2, axis=2)
         return self.q[np.argmin(off, axis=1)]
 
 
@@ -201,12 +201,12 @@ def _approach(
         J = by_joints @ robot.factors
         z = R[:, :, 2]
         across = np.eye(3) - z[:, :, None] * z[:, None, :]
-        e = np.concatenate([at - p, LEVER * np.cross(z, axis)], axis=1)
-        A = np.concatenate([J[:, :3], LEVER * across @ J[:, 3:]], axis=1)
+        e = np.concatenate([at - p, VIEW_LEVER * np.cross(z, axis)], axis=1)
+        A = np.concatenate([J[:, :3], VIEW_LEVER * across @ J[:, 3:]], axis=1)
         At = A.transpose(0, 2, 1)
-        H = At @ A + DAMPING * np.eye(A.shape[2])
+        H = At @ A + VIEWPOINT_DAMPING * np.eye(A.shape[2])
         step = np.linalg.solve(H, At @ e[:, :, None])[:, :, 0]
-        step = np.where(turning, np.clip(step, -LARGEST_STEP, LARGEST_STEP), step)
+        step = np.where(turning, np.clip(step, -LARGEST_VIEW_STEP, LARGEST_VIEW_STEP), step)
         q = np.clip(q + step, low, high)
     return q
 
@@ -258,7 +258,7 @@ def photographed(
 
 def true_head(
     scenario: Scenario, robot: Robot, settings: HeadSettings, rng: np.random.Generator
-) -> tuple[Head, list[Cause]]:
+) -> tuple[Head, list[PreparedEffect]]:
     """The measuring head as it really is, and its effects.
 
     Args:
@@ -269,12 +269,12 @@ def true_head(
     """
     head, place = head_of(settings), f"{scenario.path}: truth"
     phi, causes = head.phi.copy(), []
-    observed = Observed(robot, {}, (), held=head_things(head).held)
+    observed = ObservedRows(robot, {}, (), stated_components=head_things(head).held)
     for e in scenario.truth.effects:
         if is_of_head(e.kind):
             effect = declared(observed, e, place)
             theta = values(e, effect, rng, place)
-            causes.append(Cause(effect, theta, {}))
+            causes.append(PreparedEffect(effect, theta, {}))
             for c, value in zip(effect.coefficients, theta.tolist(), strict=True):
                 phi[list(head.role.moved_by(c.where, c.component))] += value
     return replace(head, phi=phi), causes

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from aridcal.pages.drawing.figures import EDGES, TICKS, WIDTH, below, beside, drawn_or_missing
+from aridcal.pages.drawing.figures import EDGES, TICKS, WIDTH, drawn_or_missing, label_below, label_beside
 from aridcal.pages.drawing.plot import (
     INK,
-    LINE,
+    LINE_HEIGHT,
     Area,
-    Named,
+    LegendEntry,
     Scale,
     dots,
     frame,
@@ -22,8 +22,8 @@ from aridcal.pages.drawing.plot import (
     round_up,
     scale,
     text,
+    tick_texts,
     whole,
-    written,
 )
 from aridcal.system.wording import number
 
@@ -35,7 +35,7 @@ MOST_VALUES = 95.0
 colour."""
 
 # Along the longer side of a field.
-SQUARES = 36
+SQUARES_A_SIDE = 36
 
 LEAST_HEIGHT, LARGEST_HEIGHT = 0.35, 1.1
 """Least and largest height of a plane's picture, in its widths."""
@@ -83,7 +83,7 @@ def field(
         hollow: Of the rows, shape (N,) bool; a dot for which most of them are gets a hole.
         marks: Other points of the plane by their name, shape (M, 2), as rings above the dots.
     """
-    side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9)
+    side = max(float(np.ptp(points, axis=0).max()) / SQUARES_A_SIDE, 1e-9)
     # Each square by one number, column by column: pairs would have to be sorted, which of a million rows takes a second.
     across, up = (np.floor(points / side) - np.floor(points.min(axis=0) / side)).astype(int).T
     square = across * (int(up.max()) + 1) + up
@@ -109,17 +109,17 @@ def _plane(
 ) -> tuple[Area, list[str], float]:
     """An area of equal scale in both directions below a colour scale; what stands around it, and the figure's height."""
     (x, y), spans = (scale(points[:, k], 0.05) for k in (0, 1)), np.maximum(1.1 * np.ptp(points, axis=0), 1e-9)
-    names, high = legend([Named(name, INK, "ring") for name in marks], 0.0, WIDTH)
-    top = high + 2 * LINE + 6
-    left = 2 * LINE + room_for(y, TICKS[1]) - 8
+    names, high = legend([LegendEntry(name, INK, "ring") for name in marks], 0.0, WIDTH)
+    top = high + 2 * LINE_HEIGHT + 6
+    left = 2 * LINE_HEIGHT + room_for(y, TICKS[1]) - 8
     width = WIDTH - left - EDGES[1]
     height = width * float(np.clip(spans[1] / spans[0], LEAST_HEIGHT, LARGEST_HEIGHT))
     unit_length = max(spans[0] / width, spans[1] / height)  # of values, for one of length
     middle = [0.5 * (end.low + end.high) for end in (x, y)]
     half = [0.5 * unit_length * length for length in (width, height)]
     area = Area(left, top, width, height, *(Scale(m - h, m + h) for m, h in zip(middle, half, strict=True)))
-    made = [names, _color_scale(left, high, width, unit, steps), frame(area, TICKS), below(area, labels[0])]
-    return area, [*made, beside(area, labels[1])], area.bottom + EDGES[0]
+    made = [names, _color_scale(left, high, width, unit, steps), frame(area, TICKS), label_below(area, labels[0])]
+    return area, [*made, label_beside(area, labels[1])], area.bottom + EDGES[0]
 
 
 def _color_scale(left: float, top: float, width: float, unit: str, steps: np.ndarray) -> str:
@@ -128,7 +128,7 @@ def _color_scale(left: float, top: float, width: float, unit: str, steps: np.nda
     made = []
     for k, color in enumerate(LEVELS):
         made.append(path(f"M{left + k * each:.1f} {top + 4:.1f}h{each:.1f}v8h-{each:.1f}Z", fill=color))
-    said = [*written(steps[:-1], float(steps[1])), number(float(steps[-1]), 2)]
+    said = [*tick_texts(steps[:-1], float(steps[1])), number(float(steps[-1]), 2)]
     for k, value in enumerate(said):
         made.append(text(left + k * each, top + 23, value, "start" if k == 0 else "middle"))
     return "".join([*made, text(left + width, top + 12, unit, "end", INK)])

@@ -15,9 +15,9 @@ from aridcal.pages.drawing.plot import (
     EDGE,
     GREY,
     INK,
-    LINE,
+    LINE_HEIGHT,
     Area,
-    Named,
+    LegendEntry,
     Scale,
     band,
     bars,
@@ -32,8 +32,8 @@ from aridcal.pages.drawing.plot import (
     scale,
     stairs,
     text,
+    text_width,
     whole,
-    wide,
 )
 
 P = ParamSpec("P")
@@ -44,7 +44,7 @@ COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", GREY)
 """Colours of several curves in one figure, in their order; of more curves the first ones are drawn."""
 
 # At most so many points are drawn in one cloud.
-POINTS = 500
+MOST_CLOUD_POINTS = 500
 
 # Of a figure, in 1/72 inch: it is legible on a phone, and three stand side by side on a desk.
 WIDTH, WIDE, HEIGHT = 310.0, 634.0, 195.0
@@ -84,7 +84,7 @@ def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) 
     shares = [100.0 * np.histogram(np.minimum(v, edges[-1]), edges)[0] / len(v) for v in values.values()]
     y = Scale(0.0, 1.05 * max(float(share.max()) for share in shares))
     colors = (BEFORE, AFTER)
-    names = [Named(name, color, "box") for name, color in zip(values, colors, strict=False)]
+    names = [LegendEntry(name, color, "box") for name, color in zip(values, colors, strict=False)]
     area, made = axes((label, "rows [%]"), Scale(0.0, float(edges[-1])), y, names)
     for share, color, filled in zip(shares, colors, (0.15, 0.45), strict=False):
         made.append(stairs(area, edges, share, 0.0, color, filled, 1.4))
@@ -103,11 +103,11 @@ def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarr
         ranges: The two limits in words.
     """
     count, each = len(names), 30.0
-    left = min(6 + max((wide(said) for said in (*map(_short, names), *ranges)), default=0.0), 0.45 * WIDTH)
+    left = min(6 + max((text_width(said) for said in (*map(_short, names), *ranges)), default=0.0), 0.45 * WIDTH)
     area = Area(left, 6.0, WIDTH - left - EDGES[1], each * count, Scale(0.0, 100.0), Scale(0.0, max(count, 1)))
     across = area.x.ticks(TICKS[0])
     grid = "".join(f"M{u:.1f} {area.top:.1f}V{area.bottom:.1f}" for u in area.across(across[0]))
-    made = [path(grid, stroke=EDGE, stroke_width=0.4), below(area, "share of the joint's range [%]")]
+    made = [path(grid, stroke=EDGE, stroke_width=0.4), label_below(area, "share of the joint's range [%]")]
     made += [
         text(float(u), area.bottom + 12, said, "middle")
         for u, said in zip(area.across(across[0]), across[1], strict=True)
@@ -154,10 +154,10 @@ def panels(
         trends: Of each cloud, by the same names.
     """
     top = 1.05 * (max(_reach(v, trends[name] if trends else None) for name, v in values.items()) or 1.0)
-    whole_area, _ = axes(labels, scale(x, 0.03), Scale(-top, top), (), above=LINE + 4)
+    whole_area, _ = axes(labels, scale(x, 0.03), Scale(-top, top), (), above=LINE_HEIGHT + 4)
     gap, count = 10.0, len(values)
     each = (whole_area.width - gap * (count - 1)) / count
-    made = [below(whole_area, labels[0]), beside(whole_area, labels[1])]
+    made = [label_below(whole_area, labels[0]), label_beside(whole_area, labels[1])]
     some = _some(len(x))
     for k, (name, v) in enumerate(values.items()):
         left = whole_area.left + k * (each + gap)
@@ -199,7 +199,7 @@ def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, b
         label: Of the horizontal axis.
     """
     top = 1.15 * max(float(np.abs(correlation).max()), 2.0 * bound)
-    names = (Named("95 % of noise", GREY, "box"), Named("residuals", AFTER))
+    names = (LegendEntry("95 % of noise", GREY, "box"), LegendEntry("residuals", AFTER))
     lags = lags.astype(float)
     area, made = axes((label, "correlation [1]"), scale(lags, 0.05), Scale(-top, top), names)
     ends = np.array([area.x.low, area.x.high])
@@ -231,7 +231,7 @@ def falling(
     low, high = float(np.nanmin(every)), float(np.nanmax(every))
     room = max((high / low) ** 0.05, 1.001)
     colors = (AFTER, BEFORE, GREY)
-    names = [Named(name, color, "line" if joined else "dot") for name, color in zip(there, colors, strict=False)]
+    names = [LegendEntry(name, color, "line" if joined else "dot") for name, color in zip(there, colors, strict=False)]
     x = Scale(0.0, 1.05 * max(float(at.max()), 1.0))
     area, made = axes(labels, x, Scale(low / room, high * room, log=True), names)
     for v, color in zip(there.values(), colors, strict=False):
@@ -265,7 +265,7 @@ def curve(
     """
     cut = [*np.percentile(value - 2 * std, [3, 97]), *np.percentile(value + 2 * std, [3, 97]), value.min(), value.max()]
     cut += [*np.percentile(rows[1], [1, 99])] if len(rows[1]) else []
-    names = (Named("rows", GREY), Named("identified, ± 2σ", AFTER, "line"))
+    names = (LegendEntry("rows", GREY), LegendEntry("identified, ± 2σ", AFTER, "line"))
     width = WIDE if winding else WIDTH
     x = scale(np.concatenate([at, rows[0]]), 0.03)
     area, made = axes(labels, x, scale(np.array(cut), 0.06), names, width)
@@ -280,7 +280,7 @@ def curve(
 
 
 @drawn_or_missing
-def banded(
+def banded_curves(
     key: str,
     alt: str,
     at: np.ndarray,
@@ -299,7 +299,7 @@ def banded(
         top: Of the vertical axis; None: what the values need.
     """
     highest = max((float(np.nanmax(v)) for v in values.values() if np.isfinite(v).any()), default=0.0)
-    names = [Named(name, color, "line") for name, color in zip(values, COLOURS, strict=False)]
+    names = [LegendEntry(name, color, "line") for name, color in zip(values, COLOURS, strict=False)]
     area, made = axes(labels, scale(at.astype(float)), Scale(0.0, top or 1.05 * highest or 1.0), names)
     for v, color in zip(values.values(), COLOURS, strict=False):
         there = np.isfinite(v).all(axis=1)
@@ -313,7 +313,7 @@ def axes(
     labels: tuple[str, str],
     x: Scale,
     y: Scale,
-    names: Sequence[Named] = (),
+    names: Sequence[LegendEntry] = (),
     width: float = WIDTH,
     above: float | None = None,
 ) -> tuple[Area, list[str]]:
@@ -327,33 +327,33 @@ def axes(
         width: Of the figure.
         above: Room above the area; None for what the legend needs.
     """
-    left = 2 * LINE + room_for(y, TICKS[1]) - 8
+    left = 2 * LINE_HEIGHT + room_for(y, TICKS[1]) - 8
     entries, high = legend(names, left, width)
     top = above if above is not None else high + 4
     area = Area(left, top, width - left - EDGES[1], HEIGHT - top - EDGES[0], x, y)
-    return area, [entries, frame(area, TICKS), below(area, labels[0]), beside(area, labels[1])]
+    return area, [entries, frame(area, TICKS), label_below(area, labels[0]), label_beside(area, labels[1])]
 
 
-def below(area: Area, label: str) -> str:
+def label_below(area: Area, label: str) -> str:
     """The label of a horizontal axis."""
     return text(area.left + area.width / 2, area.bottom + 27, label, "middle", INK)
 
 
-def beside(area: Area, label: str) -> str:
+def label_beside(area: Area, label: str) -> str:
     """The label of a vertical axis."""
-    return text(LINE - 4, area.top + area.height / 2, label, "middle", INK, turned=True)
+    return text(LINE_HEIGHT - 4, area.top + area.height / 2, label, "middle", INK, turned=True)
 
 
-def of_cloud(count: int) -> str:
+def cloud_caption(count: int) -> str:
     """For the caption of a cloud: how many of its points are drawn; empty where all are."""
-    return f" ({POINTS:,} of {count:,} rows drawn)" if count > POINTS else ""
+    return f" ({MOST_CLOUD_POINTS:,} of {count:,} rows drawn)" if count > MOST_CLOUD_POINTS else ""
 
 
 def _some(count: int) -> np.ndarray:
-    """Which points of a cloud are drawn: of more than :data:`POINTS` a reproducible choice."""
-    if count <= POINTS:
+    """Which points of a cloud are drawn: of more than :data:`MOST_CLOUD_POINTS` a reproducible choice."""
+    if count <= MOST_CLOUD_POINTS:
         return np.arange(count)
-    return np.random.default_rng(0).choice(count, POINTS, replace=False)
+    return np.random.default_rng(0).choice(count, MOST_CLOUD_POINTS, replace=False)
 
 
 def _short(name: str, most: int = 20) -> str:

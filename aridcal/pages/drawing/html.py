@@ -27,12 +27,12 @@ ON_A_PHONE, HALF_A_PHONE = 46, 20
 COLUMN_GAP = 2
 """Letters that the white between two columns takes."""
 
-ONE_LINE = 14
+UNBROKEN_LETTERS = 14
 """Letters of a cell of words below which breaking it makes a column of single words."""
 
 T = TypeVar("T")
 
-LONGEST_REASON = 300
+LONGEST_NOTICE = 300
 """Letters of a notice's reason: readers of files quote what they choke on, and names have no limit."""
 
 _missing: ContextVar[list[str] | None] = ContextVar("missing", default=None)
@@ -122,7 +122,7 @@ def _letters(column: Sequence[str], numbers: bool) -> int:
     return max(
         words[0],
         *(
-            max(word, len(cell) if numbers else min(len(cell), ONE_LINE))
+            max(word, len(cell) if numbers else min(len(cell), UNBROKEN_LETTERS))
             for word, cell in zip(words[1:], cells, strict=True)
         ),
         0,
@@ -171,7 +171,7 @@ def codes(names: Sequence[str]) -> Content:
 
 
 @contextmanager
-def noting() -> Iterator[list[str]]:
+def collect_notices() -> Iterator[list[str]]:
     """Collect the notices of :func:`attempt` while a page is drawn.
 
     Yields:
@@ -204,7 +204,7 @@ def attempt(what: str, draw: Callable[[], T], instead: Callable[[str], T]) -> T:
 
 
 def note(notice: str) -> None:
-    """Add a notice to those that :func:`noting` collects."""
+    """Add a notice to those that :func:`collect_notices` collects."""
     notices = _missing.get()
     if notices is not None and notice not in notices:
         notices.append(notice)
@@ -219,4 +219,4 @@ def reason(error: Exception) -> str:
 
 def one_line(text: str) -> str:
     """Text without control characters, its beginning if it is long."""
-    return shortened(printable(text), LONGEST_REASON)
+    return shortened(printable(text), LONGEST_NOTICE)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from aridcal.pages.drawing.frame import asset, filled
+from aridcal.pages.drawing.page_frame import asset, filled
 
 if TYPE_CHECKING:
     from matplotlib.font_manager import FontProperties
@@ -31,13 +31,13 @@ LINE, GAP = 1.3, 0.7
 SMALLER = 0.97
 """Step by which everything is made smaller until it fits."""
 
-SMALLEST = 0.3
+SMALLEST_SCALE = 0.3
 """Least scale: below it no eye reads; what a campaign may state fits on the page long before."""
 
 LABELS, NAMES = 0.21, 0.3
 """Shares of the width that the names of facts take, and those of the headline."""
 
-COLUMN_GAP = 8.0
+COLUMN_GAP_PT = 8.0
 """[pt] between columns of a table."""
 
 FONT = "DejaVu Sans"
@@ -236,13 +236,13 @@ def _laid_out(page: OnePage, scale: float, fonts: tuple[str, ...], lacking: str)
     column.put([(0.0, whole, page.under)], TEXT)
     column.gap()
     for name, said in page.headline:
-        column.put([(0.0, wide - COLUMN_GAP, name), (wide, whole - wide, said)], FIGURE, " b")
+        column.put([(0.0, wide - COLUMN_GAP_PT, name), (wide, whole - wide, said)], FIGURE, " b")
     for part in page.parts:
         column.gap()
         column.rule()
         column.put([(0.0, whole, part.heading)], HEADING, "b")
         for name, said in part.facts:
-            column.put([(0.0, label - COLUMN_GAP, name), (label, whole - label, said)], TEXT, "s ")
+            column.put([(0.0, label - COLUMN_GAP_PT, name), (label, whole - label, said)], TEXT, "s ")
         edges = _columns(part.table, whole, scale, fonts)
         for k, row in enumerate(part.table):
             column.put([(x, w, cell) for (x, w), cell in zip(edges, row, strict=True)], TEXT, "s" * len(row) * (k == 0))
@@ -265,7 +265,7 @@ def _columns(
         max(sum(advance(c, False, fonts) for c in row[k]) for row in table) * TEXT * scale + 1.0
         for k in range(len(table[0]))
     ]
-    room, widths = whole - COLUMN_GAP * (len(needed) - 1), [0.0] * len(needed)
+    room, widths = whole - COLUMN_GAP_PT * (len(needed) - 1), [0.0] * len(needed)
     narrowest = sorted(range(len(needed)), key=lambda k: needed[k])
     for rank, k in enumerate(narrowest):  # narrow columns get what they need, wide ones share what is left
         widths[k] = min(needed[k], room / (len(needed) - rank))
@@ -273,7 +273,7 @@ def _columns(
     edges, x = [], 0.0
     for width in widths:
         edges.append((x, width))
-        x += width + COLUMN_GAP
+        x += width + COLUMN_GAP_PT
     return edges
 
 
@@ -286,7 +286,7 @@ def _fitted(page: OnePage) -> tuple[_Column, str]:
     fonts, lacking = fonts_for("".join(every))
     scale = 1.0
     column = _laid_out(page, scale, fonts, lacking)
-    while column.y > (HEIGHT - 2 * MARGIN) * POINTS_PER_MM and scale > SMALLEST:
+    while column.y > (HEIGHT - 2 * MARGIN) * POINTS_PER_MM and scale > SMALLEST_SCALE:
         scale *= SMALLER
         column = _laid_out(page, scale, fonts, lacking)
     return column, lacking

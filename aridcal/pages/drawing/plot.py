@@ -18,20 +18,20 @@ from aridcal.system.errors import printable_lines
 
 INK, GREY, EDGE, GRID = "#333b44", "#5f6b76", "#aab2ba", "#e6e9ec"
 
-TEXT = 10.0
+LETTER_SIZE = 10.0
 """Size of all letters: 11 px on a phone, where a figure is as wide as the page, and 12 to 15 px on a desk."""
 
-LINE = 14.0
+LINE_HEIGHT = 14.0
 """From one line of letters to the next."""
 
-STEPS = (1.0, 2.0, 5.0, 10.0)
+TICK_STEPS = (1.0, 2.0, 5.0, 10.0)
 """Ticks are these times a power of ten apart: read without counting."""
 
 NARROW, BROAD = "fijlrtI.,:;|!'()[] ", "mwMW%@—"
 LETTER, THIN, THICK = 0.62, 0.36, 0.95
 """Widths of letters in their sizes, those of wide sans-serif fonts: the reader's own font is not known here."""
 
-DIGITS = (1e-4, 1e6)
+PLAIN_TICKS = (1e-4, 1e6)
 """Ticks between these are written out, others with an exponent."""
 
 
@@ -63,7 +63,7 @@ class Scale:
         # a tick at the very end is one, in spite of rounding
         first, last = math.ceil(self.low / step - 1e-6), math.floor(self.high / step + 1e-6)
         at = step * np.arange(first, last + 1)
-        return at, written(at, step)
+        return at, tick_texts(at, step)
 
 
 def scale(values: np.ndarray, room: float = 0.0) -> Scale:
@@ -76,16 +76,16 @@ def scale(values: np.ndarray, room: float = 0.0) -> Scale:
 
 
 def round_up(value: float) -> float:
-    """The next of :data:`STEPS` times a power of ten that is not smaller."""
+    """The next of :data:`TICK_STEPS` times a power of ten that is not smaller."""
     power = 10.0 ** math.floor(math.log10(value))
-    return power * next(step for step in STEPS if step * (1 + 1e-9) >= value / power)
+    return power * next(step for step in TICK_STEPS if step * (1 + 1e-9) >= value / power)
 
 
-def written(at: np.ndarray, step: float) -> list[str]:
+def tick_texts(at: np.ndarray, step: float) -> list[str]:
     """Ticks in words: with as many decimals as their step needs, all with an exponent where one would be too long."""
     largest = float(np.abs(at).max(initial=0.0))
     last = math.floor(math.log10(step) + 1e-9)  # place of the digit in which ticks differ
-    if step >= DIGITS[0] and largest < DIGITS[1]:
+    if step >= PLAIN_TICKS[0] and largest < PLAIN_TICKS[1]:
         return [f"{value + 0.0:,.{max(-last, 0)}f}".replace("-", "−") for value in at]
     digits = max(math.floor(math.log10(largest) + 1e-9) - last, 0) if largest else 0
     return [f"{value:.{digits}e}".replace("-", "−") if value else "0" for value in at]
@@ -94,7 +94,7 @@ def written(at: np.ndarray, step: float) -> list[str]:
 def _log_ticks(low: float, high: float, most: int) -> tuple[np.ndarray, list[str]]:
     """Ticks at 1, 2 and 5 times powers of ten, or of the powers alone, or equally far apart where that is not a decade."""
     powers = 10.0 ** np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    for steps in (np.array(STEPS[:-1]), np.ones(1)):
+    for steps in (np.array(TICK_STEPS[:-1]), np.ones(1)):
         at = np.outer(powers, steps).ravel()
         at = at[(at >= low * (1 - 1e-9)) & (at <= high * (1 + 1e-9))]
         if 2 < len(at) <= most:
@@ -144,9 +144,9 @@ class Area:
         return self.bottom - self.height * self.y.share(np.asarray(values, dtype=float))
 
 
-def wide(text: str) -> float:
+def text_width(text: str) -> float:
     """About how wide text is."""
-    return TEXT * sum(THIN if c in NARROW else THICK if c in BROAD else LETTER for c in text)
+    return LETTER_SIZE * sum(THIN if c in NARROW else THICK if c in BROAD else LETTER for c in text)
 
 
 def text(x: float, y: float, said: str, anchor: str = "start", color: str = GREY, turned: bool = False) -> str:
@@ -251,7 +251,7 @@ def clipped(key: str, area: Area, drawn: str) -> str:
 
 def room_for(y: Scale, most: int) -> float:
     """How wide the ticks of a vertical axis are."""
-    return max((wide(said) for said in y.ticks(most)[1]), default=0.0)
+    return max((text_width(said) for said in y.ticks(most)[1]), default=0.0)
 
 
 def frame(area: Area, most: tuple[int, int], numbers: bool = True) -> str:
@@ -275,7 +275,7 @@ def frame(area: Area, most: tuple[int, int], numbers: bool = True) -> str:
 
 
 @dataclass(frozen=True)
-class Named:
+class LegendEntry:
     """An entry of a legend.
 
     Attributes:
@@ -289,19 +289,19 @@ class Named:
     sign: str = "dot"
 
 
-def legend(entries: Sequence[Named], left: float, right: float) -> tuple[str, float]:
+def legend(entries: Sequence[LegendEntry], left: float, right: float) -> tuple[str, float]:
     """Entries from the top on, as many in a line as there is room for; and how high they are."""
-    made, x, y = [], left, LINE - 4
+    made, x, y = [], left, LINE_HEIGHT - 4
     for entry in entries:
-        length = 14 + wide(entry.name)
+        length = 14 + text_width(entry.name)
         if x > left and x + length > right:
-            x, y = left, y + LINE
+            x, y = left, y + LINE_HEIGHT
         made.append(_sign(entry, x, y - 3.5) + text(x + 14, y, entry.name, color=INK))
         x += length + 12
     return "".join(made), y + 4 if entries else 0.0
 
 
-def _sign(entry: Named, x: float, y: float) -> str:
+def _sign(entry: LegendEntry, x: float, y: float) -> str:
     if entry.sign == "line":
         return path(f"M{x:.1f} {y:.1f}h11", stroke=entry.color, stroke_width=2)
     if entry.sign == "box":
@@ -321,4 +321,4 @@ def whole(alt: str, width: float, height: float, parts: Sequence[str], kind: str
         kind: Its class.
     """
     head = f'<svg class="{kind}" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(alt)}"'
-    return f'{head} font-size="{TEXT:g}">{"".join(parts)}</svg>'
+    return f'{head} font-size="{LETTER_SIZE:g}">{"".join(parts)}</svg>'

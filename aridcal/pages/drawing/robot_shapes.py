@@ -20,7 +20,7 @@ from lxml import etree
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.robot.chain import Robot
-from aridcal.engine.robot.link_shapes import GREY, Shape, floats, mesh_files, say_missing, shapes_of
+from aridcal.engine.robot.link_shapes import GREY, LinkShape, floats, mesh_files, say_missing, shapes_of
 from aridcal.engine.robot.meshes import TRIANGLES, MeshMissing, NotDrawable, read_meshes, weld
 from aridcal.pages.drawing.html import one_line, reason
 from aridcal.system.errors import shortened
@@ -29,7 +29,7 @@ from aridcal.system.errors import shortened
 FEWEST_TRIANGLES = 100
 
 # Of a 16-bit number.
-STEPS = 32767
+VERTEX_STEPS = 32767
 
 # Visuals that are drawn, of which each is drawn twice: a humanoid with every screw has a few hundred.
 MOST_SHAPES = 2000
@@ -38,10 +38,10 @@ MOST_SHAPES = 2000
 MOST_TRIANGLES = 4_000_000
 
 # [m] from a joint: beyond it single precision, which browsers draw with, leaves no digit of a robot.
-FARTHEST = 1e6
+FARTHEST_VERTEX = 1e6
 
 # Notices of one robot.
-MOST_NOTICES = 12
+MOST_SHAPE_NOTICES = 12
 
 # Radius of a stick figure's rods as a share of the arm's length; of its balls, in those; [m] of a rod at least.
 THICKNESS, BALL, THINNEST = 0.015, 1.6, 1e-3
@@ -50,7 +50,7 @@ THICKNESS, BALL, THINNEST = 0.015, 1.6, 1e-3
 ORANGE = (0.93, 0.45, 0.13)
 
 
-def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+def robot_shapes(robot: Robot) -> tuple[tuple[LinkShape, ...], tuple[str, ...]]:
     """Collect every ``<visual>`` of a URDF that can be drawn, or a stick figure if none can.
 
     Returns:
@@ -64,7 +64,7 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
         notices.append(f"of {len(visuals):,} visuals only the first {MOST_SHAPES:,} are drawn")
         visuals = visuals[:MOST_SHAPES]
     meshes = read_meshes(mesh_files([visual for _, visual in visuals], robot))
-    shapes: list[Shape] = []
+    shapes: list[LinkShape] = []
     triangles = 0
     missing: list[MeshMissing] = []
     for name, visual in visuals:
@@ -96,20 +96,20 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
 def _few(notices: list[str]) -> tuple[str, ...]:
     """Each notice once, and of many the first ones."""
     different = list(dict.fromkeys(notices))
-    rest = len(different) - MOST_NOTICES
-    return tuple(different if rest <= 1 else [*different[:MOST_NOTICES], f"and {rest} more notices of this kind"])
+    rest = len(different) - MOST_SHAPE_NOTICES
+    return tuple(different if rest <= 1 else [*different[:MOST_SHAPE_NOTICES], f"and {rest} more notices of this kind"])
 
 
-def _sound(shape: Shape) -> Shape:
+def _sound(shape: LinkShape) -> LinkShape:
     """Give a shape as it can be drawn: it is near the robot, and its mesh's faces are wide enough to be seen.
 
     Raises:
         NotDrawable: it cannot be drawn.
     """
-    if shape.kind == "mesh" and not (np.abs(shape.vertices) <= FARTHEST).all():
-        raise NotDrawable(f"its mesh reaches beyond {FARTHEST:g} m")
-    if not (np.abs(shape.corners()) <= FARTHEST).all():
-        raise NotDrawable(f"it reaches beyond {FARTHEST:g} m")
+    if shape.kind == "mesh" and not (np.abs(shape.vertices) <= FARTHEST_VERTEX).all():
+        raise NotDrawable(f"its mesh reaches beyond {FARTHEST_VERTEX:g} m")
+    if not (np.abs(shape.corners()) <= FARTHEST_VERTEX).all():
+        raise NotDrawable(f"it reaches beyond {FARTHEST_VERTEX:g} m")
     if shape.kind == "mesh":
         vertices, faces = weld(shape.vertices, shape.faces, TRIANGLES)
         if not len(faces):
@@ -137,7 +137,7 @@ def _material_colour(
     return rgba[:3]
 
 
-def _thinned(shapes: Sequence[Shape]) -> tuple[Shape, ...]:
+def _thinned(shapes: Sequence[LinkShape]) -> tuple[LinkShape, ...]:
     """Meshes within the page's allowance: the small ones as they are, the large ones down to one common number of faces."""
     most = _allowance([len(shape.faces) for shape in shapes if shape.kind == "mesh"])
     thinned = []
@@ -160,7 +160,7 @@ def _allowance(faces: list[int]) -> int:
     return most
 
 
-def _skeleton(robot: Robot) -> tuple[Shape, ...]:
+def _skeleton(robot: Robot) -> tuple[LinkShape, ...]:
     """Draw a ball at each joint, and a rod to it from the joint before."""
     model = robot.tree
     steps = [placement.translation for placement in model.jointPlacements[1:]]
@@ -169,11 +169,11 @@ def _skeleton(robot: Robot) -> tuple[Shape, ...]:
     along_z = np.array([0.0, 0.0, 1.0])
     shapes = []
     for joint, (step, length) in enumerate(zip(steps, lengths, strict=True), 1):
-        shapes.append(Shape(joint, np.eye(4), "sphere", (BALL * radius,), ORANGE))
+        shapes.append(LinkShape(joint, np.eye(4), "sphere", (BALL * radius,), ORANGE))
         if length > radius:
             T = np.eye(4)
             T[:3, :3], T[:3, 3] = turn(along_z, step), step / 2
-            shapes.append(Shape(model.parents[joint], T, "cylinder", (radius, length), GREY))
+            shapes.append(LinkShape(model.parents[joint], T, "cylinder", (radius, length), GREY))
     return tuple(shapes)
 
 
@@ -192,7 +192,7 @@ def position_quaternion(T: np.ndarray) -> np.ndarray:
 def stepped(name: str, values: np.ndarray) -> dict[str, Any]:
     """Write small motions (N, 3), [m], as 16-bit steps: there may be many effects, each with a vector for every row."""
     largest = max(float(np.abs(values).max()), 1e-12)
-    step = largest / STEPS
+    step = largest / VERTEX_STEPS
     return {"name": name, "step": step, "moved": packed((values / step).round(), np.int16)}
 
 

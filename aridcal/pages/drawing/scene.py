@@ -21,25 +21,25 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal.engine.fit.constants import stage_urdf
-from aridcal.engine.robot.chain import Robot, same_chain
+from aridcal.engine.robot.chain import Robot, chain_in_urdf
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, start_frames, tree_frames
-from aridcal.engine.robot.link_shapes import Shape
+from aridcal.engine.robot.link_shapes import LinkShape
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.frame import asset, empty_page, filled
-from aridcal.pages.drawing.html import attempt, note, noting
+from aridcal.pages.drawing.drawn_rows import drawn_rows
+from aridcal.pages.drawing.html import attempt, collect_notices, note
+from aridcal.pages.drawing.page_frame import asset, empty_page, filled
 from aridcal.pages.drawing.robot_shapes import packed, position_quaternion, robot_shapes, stepped, turn
-from aridcal.pages.drawing.thinned import thinned
 
 ASSETS = Path(__file__).parent / "assets"
 
 # At most so many of them can be stepped through.
-ROWS = 200
+MOST_SCENE_ROWS = 200
 
 # Viridis from 0.2 to 1, evenly: its darkest fifth is left out because the page is dark.
 VIRIDIS = ("#414487", "#355f8d", "#2a788e", "#21918c", "#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725")
 
 # Limbs are told apart by these; those beyond them keep the URDF's colours.
-LIMBS = ("#4f9cf0", "#f08c4f", "#7ccf6b", "#d27bd6")
+LIMB_COLOURS = ("#4f9cf0", "#f08c4f", "#7ccf6b", "#d27bd6")
 
 # Magnifications to choose from.
 LADDER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))
@@ -62,7 +62,7 @@ RADIANS_PER_SPAN = 4.0
 
 
 # [m] and without unit: a link whose frame moves less stands where it did.
-LEAST_MOTION = 1e-12
+LEAST_SCENE_MOTION = 1e-12
 
 # Bits of a row's flags, as ``scene.js`` reads them.
 TEST, OUTLIER, SCORED = 1, 2, 4
@@ -118,7 +118,7 @@ def write_scene(outcome: Outcome, path: Path) -> tuple[str, ...]:
     Returns:
         Notices: what could not be drawn, and why.
     """
-    with noting() as notices:
+    with collect_notices() as notices:
         text = attempt(
             "scene.html", lambda: scene_page(scene(outcome)), lambda notice: empty_page("Calibration scene", notice)
         )
@@ -127,7 +127,9 @@ def write_scene(outcome: Outcome, path: Path) -> tuple[str, ...]:
 
 
 def scene_page(scene: Scene) -> str:
-    """The page of a scene; visuals of the robot that cannot be drawn are noted (:func:`aridcal.pages.drawing.html.noting`).
+    """The page of a scene; visuals of the robot that cannot be drawn are noted.
+
+    See :func:`aridcal.pages.drawing.html.collect_notices`.
 
     Args:
         scene: At least one row and one stage.
@@ -141,7 +143,7 @@ def scene_page(scene: Scene) -> str:
     return _page(scene_content(scene, shapes) | {"notices": notices, "script": which}, script)
 
 
-def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
+def scene_content(scene: Scene, shapes: tuple[LinkShape, ...]) -> dict[str, Any]:
     """Collect all that the page's script needs, as plain data; arrays as base64 of little-endian float32 (or as stated).
 
     Args:
@@ -149,7 +151,7 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
         shapes: Of the robot.
     """
     n = len(scene.measured)
-    rows = np.unique(np.linspace(0, n - 1, min(n, ROWS)).round().astype(int))
+    rows = np.unique(np.linspace(0, n - 1, min(n, MOST_SCENE_ROWS)).round().astype(int))
     joints = sorted({shape.joint for shape in shapes})
     robots = (scene.nominal, scene.calibrated)
     nominal, calibrated = (body_poses(robot, scene.readings[rows])[:, joints] for robot in robots)
@@ -171,10 +173,11 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
         "visuals": visuals,
         "bodies": len(joints),
         "limbs": [
-            {"name": name, "colour": colour} for name, colour in zip(limb_names(scene.nominal), LIMBS, strict=False)
+            {"name": name, "colour": colour}
+            for name, colour in zip(limb_names(scene.nominal), LIMB_COLOURS, strict=False)
         ],
         "limb": [limb_of(scene.nominal, scene.nominal.tree.names[joint]) for joint in joints],
-        "corrected": [bool(moves > LEAST_MOTION) for moves in np.abs(nominal - calibrated).max(axis=(0, 2, 3))],
+        "corrected": [bool(moves > LEAST_SCENE_MOTION) for moves in np.abs(nominal - calibrated).max(axis=(0, 2, 3))],
         "poses": [packed(position_quaternion(T)) for T in (nominal, calibrated)],
         "rows": rows.tolist(),
         "line": (np.arange(1, n + 1) if scene.line is None else scene.line).tolist(),
@@ -214,7 +217,7 @@ def _in_base(scene: Scene) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str,
     return turned(scene.measured - origin), errors, moved
 
 
-def _corners(shapes: tuple[Shape, ...], joints: list[int], T_base_body: np.ndarray) -> list[np.ndarray]:
+def _corners(shapes: tuple[LinkShape, ...], joints: list[int], T_base_body: np.ndarray) -> list[np.ndarray]:
     """Return the corners of the shapes' boxes in the base's frame, (8, 3) each, the bodies standing at (bodies, 4, 4)."""
     corners = []
     for shape in shapes:
@@ -324,7 +327,9 @@ def limb_of(robot: Robot, joint: str) -> int:
     return -1
 
 
-def _deduplicated(shapes: tuple[Shape, ...], joints: list[int]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def _deduplicated(
+    shapes: tuple[LinkShape, ...], joints: list[int]
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Each geometry once, and where each is drawn in which colour."""
     numbers: dict[str, int] = {}
     visuals = []
@@ -339,7 +344,7 @@ def _deduplicated(shapes: tuple[Shape, ...], joints: list[int]) -> tuple[list[di
     return [json.loads(g) for g in numbers], visuals
 
 
-def _geometry(shape: Shape) -> dict[str, Any]:
+def _geometry(shape: LinkShape) -> dict[str, Any]:
     """Write a shape's form; faces as 16-bit numbers where these are enough."""
     geometry: dict[str, Any] = {"kind": shape.kind, "size": shape.size}
     if shape.kind != "mesh":
@@ -372,13 +377,13 @@ def scene(outcome: Outcome) -> Scene:
     """Collect what the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
     fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
     as_read = m.as_read  # they are stepped through as they stand in the files
-    some, left_out = thinned(outcome.outlier[as_read])
+    some, left_out = drawn_rows(outcome.outlier[as_read])
     rows = as_read[some]
     station, target = (None if labels is None else labels[rows] for labels in (m.labels.station, m.labels.target))
     conditions = {name: values[rows] for name, values in m.conditions.items()}
     world = fit.model.rows(m.readings[rows], conditions, station, target).world
     bases = np.array([frame.homogeneous for _, frame in fit.model.world_base])
-    calibrated = same_chain(robot, stage_urdf(outcome.stage("geometric").fit))
+    calibrated = chain_in_urdf(robot, stage_urdf(outcome.stage("geometric").fit))
     # Where a path starts at a link, that link's frame is the world of its rows.
     route = None if m.labels.route is None else m.labels.route[rows]
     R, p, linked = start_frames(calibrated, m.readings[rows], m.labels.routes, route)
@@ -393,7 +398,9 @@ def scene(outcome: Outcome) -> Scene:
         measured = (outcome.at_target.places + shifts["final"])[rows]
     parts = outcome.parts()
     scored = parts["test"] if parts["test"].any() else ~outcome.outlier
-    reach = None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.told)
+    reach = (
+        None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.observable)
+    )
     return Scene(
         nominal=robot,
         calibrated=calibrated,

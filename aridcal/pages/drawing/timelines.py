@@ -12,7 +12,7 @@ from aridcal.pages.drawing.figures import AFTER, BEFORE, HEIGHT, WIDTH, axes, dr
 from aridcal.pages.drawing.html import tag
 from aridcal.pages.drawing.plot import Area, Scale, band, bars, dots, line, scale, titled, whole
 
-MARGIN = 0.02
+TIME_MARGIN = 0.02
 """Share of the time beside the first and the last value."""
 
 SPARK_WIDTH, SPARK_HEIGHT = 120.0, 24.0
@@ -26,7 +26,7 @@ LEAST_MARKED = 2.0
 
 
 @dataclass(frozen=True)
-class Stretch:
+class TimeStretch:
     """A stretch of time that is marked.
 
     Attributes:
@@ -51,7 +51,7 @@ class Days(Scale):
         days = months.astype("datetime64[s]").astype(float) / 86400
         inside = (days >= self.low) & (days <= self.high)
         if not inside.any():
-            days = np.unique(np.round(ends + MARGIN * np.ptp(ends) * np.array([1, -1])))
+            days = np.unique(np.round(ends + TIME_MARGIN * np.ptp(ends) * np.array([1, -1])))
             return days, [str(day) for day in days.astype(int).astype("datetime64[D]")]
         each = -(-int(inside.sum()) // min(most, MOST_MONTHS))
         return days[inside][::each], [str(month) for month in months[inside][::each]]
@@ -76,7 +76,7 @@ def timeline(
     value: np.ndarray,
     std: np.ndarray,
     label: str,
-    stretches: Sequence[Stretch] = (),
+    stretches: Sequence[TimeStretch] = (),
 ) -> str:
     """Values with bars of two sigma over time.
 
@@ -90,7 +90,7 @@ def timeline(
         stretches: Of time, that are marked.
     """
     first, last = float(day.min()), float(day.max())
-    room = MARGIN * max(last - first, 1.0)
+    room = TIME_MARGIN * max(last - first, 1.0)
     low, high = value - 2 * std, value + 2 * std
     area, made = axes(("time", label), Days(first - room, last + room), scale(np.r_[low, high], 0.05))
     least = LEAST_MARKED * (area.x.high - area.x.low) / area.width

@@ -13,15 +13,15 @@ from aridcal.engine.instruments.channels import INCLINATION, Channels
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_causes import NoiseCause
-from aridcal.engine.search.noise_shapes import Shape
+from aridcal.engine.search.noise_shapes import NoiseShape
 from aridcal.engine.trust.certainty import Certainty
-from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE, Kept
+from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE, ToleranceAnswer
 from aridcal.files.purposes import About
 from aridcal.jobs.calibrate.controllers import ControllerExports
-from aridcal.jobs.calibrate.instrument_results import known_scale, scale_std
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma, scale_std
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.system.errors import printable, shortened
-from aridcal.system.wording import SHOWN_UNIT, enumerated, fixed, number, plus_minus, shown_in
+from aridcal.system.wording import SHOWN_UNIT, enumeration, fixed, number, plus_minus, shown_unit
 
 # Correlation of two columns from which the reader is told: beyond it less than 1 - 0.8^2 = 36 % of the variance of
 # one is its own.
@@ -31,7 +31,7 @@ LEAST_CORRELATION_SAID = 0.8
 MAIN_SHARE = 0.5
 
 # Measured columns: what they are, and how to change one while all else stays the same.
-COLUMNS = {
+COVARIATE_WORDS = {
     ROW_ORDER: ("the order of the rows", "repeat the same configurations after it, in another order"),
     "time": ("time", "repeat the same configurations hours later, in another order"),
     "temperature": ("temperature", "measure the same configurations cold and warm"),
@@ -39,31 +39,31 @@ COLUMNS = {
 }
 
 # Computed loads, by the end of their names.
-LOADS = {
+LOAD_WORDS = {
     "gravity_torque": "the gravity load on {}",
     "gravity_moment": "the gravity moment on the bearing of {}",
     "payload_torque": "the payload's load on {}",
 }
 
 
-NOT_STATED = "not stated"
+NOT_STATED_WORDS = "not stated"
 
-LONGEST_NAME = 40
+LONGEST_SHOWN_NAME = 40
 """Characters of a name from a file that are shown beside what users state."""
 
 
-def named(name: str) -> str:
+def printable_name(name: str) -> str:
     """A name from a file, fit to be shown."""
-    return shortened(printable(name), LONGEST_NAME)
+    return shortened(printable(name), LONGEST_SHOWN_NAME)
 
 
-def who_and_what(about: About, robot: Robot, m: Dataset) -> Iterator[tuple[str, str]]:
+def certificate_subject(about: About, robot: Robot, m: Dataset) -> Iterator[tuple[str, str]]:
     """Which robot was measured with what, by whom and when: names and what they are."""
-    yield "Robot", about.robot or named(robot.tree.name)
-    yield "Serial number", about.serial_number or NOT_STATED
+    yield "Robot", about.robot or printable_name(robot.tree.name)
+    yield "Serial number", about.serial_number or NOT_STATED_WORDS
     serial = f", serial number {about.instrument_serial}" if about.instrument_serial else ""
-    yield "Instrument", f"{about.instrument or NOT_STATED}{serial}"
-    yield "Measured by", ", ".join(filter(None, (about.who, about.organisation))) or NOT_STATED
+    yield "Instrument", f"{about.instrument or NOT_STATED_WORDS}{serial}"
+    yield "Measured by", ", ".join(filter(None, (about.who, about.organisation))) or NOT_STATED_WORDS
     yield "Measured on", about.date or _date_of_files(m)
 
 
@@ -71,15 +71,15 @@ def _date_of_files(m: Dataset) -> str:
     """That nobody stated a date, and that of the newest file of measurements: a copy has the date of the copying."""
     times = [path.stat().st_mtime for path in m.origin.files if path.is_file()]
     if not times:
-        return NOT_STATED
-    return f"{NOT_STATED} (newest file: {datetime.date.fromtimestamp(max(times)).isoformat()})"
+        return NOT_STATED_WORDS
+    return f"{NOT_STATED_WORDS} (newest file: {datetime.date.fromtimestamp(max(times)).isoformat()})"
 
 
 def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:
     """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``; nothing of those with NaN."""
     sigmas = [(c, float(s)) for c, s in zip(channels, sigma, strict=True) if not (c.inner or math.isnan(s))]
     shown = [f"{number(times * c.scale * s)} {c.shown}" for c, s in sigmas]
-    return enumerated(shown)
+    return enumeration(shown)
 
 
 NOT_FOR_A_CONTROLLER = (
@@ -133,7 +133,7 @@ def per_number(outcome: Outcome) -> str:
 def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
     """How well the scale is known, where no instrument measures lengths itself; empty where one does."""
     m = outcome.measurements
-    sigma = known_scale(m)
+    sigma = known_scale_sigma(m)
     if sigma is None:
         return ("scale: none of these rows measures a length or a place; the arm's lengths stay nominal",)
     if np.isinf(sigma):
@@ -164,7 +164,7 @@ def next_command(outcome: Outcome, handover: ControllerExports, folder: str) -> 
     return f"aridcal compensate {folder} program.{ending} -o corrected.{ending}{limb}"
 
 
-def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
+def tolerance_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
     """What the region keeps within, of the position and of the rotation: whether that is good, and the sentence.
 
     Args:
@@ -172,7 +172,7 @@ def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
         asked: Of what a tolerance was given for; else of the rest.
     """
     certainty = outcome.certainty
-    parts = () if certainty is None else certainty.kept
+    parts = () if certainty is None else certainty.tolerances
     of_these = [part for part in parts if asked == (part.tolerance is not None)]
     if asked and not outcome.verdict.for_controller:
         return [
@@ -182,7 +182,7 @@ def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
     return [_kept(part, certainty) for part in of_these if certainty]
 
 
-def _kept(part: Kept, certainty: Certainty) -> tuple[bool, str]:
+def _kept(part: ToleranceAnswer, certainty: Certainty) -> tuple[bool, str]:
     """Whether the region keeps one quantity, position or rotation, within its bound, and the sentence on it."""
     unit, share, sure = "mrad" if part.of == "rotation" else "mm", f"{100 * SHARE:.0f} %", f"{100 * CONFIDENCE:.0f} %"
     where, bound = f"in {share} of {certainty.title}", f"{number(1e3 * part.bound)} {unit}"
@@ -206,7 +206,7 @@ def causes_in_words(outcome: Outcome) -> str:
     joints = [c for c in further if c.kind == "joint"]
     said = [_joints_that_scatter(joints, outcome.channels)] if joints else []
     for c in further:
-        unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_in(c.unit)
+        unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_unit(c.unit)
         value = plus_minus(times * c.value, times * c.std)
         if c.kind == "range":
             said.append(f"The {c.name} noise grows by {value} {unit} from the origin of the world frame.")
@@ -230,9 +230,9 @@ GROWS = {0: "", 1: ", and in proportion to the distance", 2: ", and by the squar
 """How noise grows along lines of sight, in words, by the power."""
 
 
-def _noise_of_shape(c: NoiseCause, shape: Shape) -> str:
+def _noise_of_shape(c: NoiseCause, shape: NoiseShape) -> str:
     """What lies along something, with its size and what it is likely to be."""
-    unit, times = shown_in(c.unit)
+    unit, times = shown_unit(c.unit)
     size = f"{plus_minus(times * c.value, times * c.std)} {unit}"
     if shape.kind == "lever":
         assert shape.vector is not None
@@ -266,7 +266,7 @@ def _said_shortly(c: NoiseCause) -> str:
     """One cause with its size."""
     if c.shape is not None:
         return _noise_of_shape(c, c.shape)
-    unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_in(c.unit)
+    unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_unit(c.unit)
     size = f"{plus_minus(times * c.value, times * c.std)} {unit}"
     of = {
         "joint": f"the reading of {c.name}",
@@ -285,7 +285,8 @@ def _joints_that_scatter(joints: Sequence[NoiseCause], channels: Channels) -> st
     for c in joints:
         alike.setdefault((c.value, c.std, c.unit), []).append(c)
     readings = [
-        f"{enumerated([c.name for c in own])} ({plus_minus(1e3 * value, 1e3 * std)} {SHOWN_UNIT[unit]}{' each' * (len(own) > 1)})"
+        f"{enumeration([c.name for c in own])} ({plus_minus(1e3 * value, 1e3 * std)} "
+        f"{SHOWN_UNIT[unit]}{' each' * (len(own) > 1)})"
         for (value, std, unit), own in alike.items()
     ]
     rivals = list({(r.kind, r.name): r for c in joints for r in c.rivals}.values())
@@ -354,13 +355,13 @@ def _place(where: str, names: list[str]) -> int:
 def _words(name: str) -> tuple[str, str]:
     """A covariate in words, and how to change it."""
     joint, _, load = name.rpartition(".")
-    for ending, words in LOADS.items():
+    for ending, words in LOAD_WORDS.items():
         if joint and load.startswith(ending):
             return words.format(joint), f"keep {joint} where it is, and stretch, fold or load the arm beyond it"
     if name.endswith("_direction"):
         joint = name.removesuffix("_direction")
         return f"the direction in which {joint} approached", "reach the same configurations from both sides"
-    for column, (words, how) in COLUMNS.items():
+    for column, (words, how) in COVARIATE_WORDS.items():
         if name == column:
             return words, how
         if name.startswith(f"{column}_"):

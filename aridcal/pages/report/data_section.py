@@ -8,15 +8,15 @@ from collections.abc import Iterator
 import numpy as np
 from markupsafe import Markup
 
-from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS, labelled
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.jobs.calibrate.instrument_results import known_scale
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma
 from aridcal.jobs.calibrate.key_figures import QUESTIONABLE_OUTLIERS, JointRange, joint_ranges, row_errors
 from aridcal.jobs.calibrate.outcome import Outcome, statistics
 from aridcal.pages.drawing.figures import coverage, histogram
 from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
 from aridcal.pages.drawing.words import per_number, sigmas_in_words
-from aridcal.system.wording import counted, number, range_in_words
+from aridcal.system.wording import number, plural, range_in_words
 
 # Lines of a list of rows.
 MOST_LINES = 25
@@ -41,15 +41,13 @@ def data(outcome: Outcome) -> Iterator[Content]:
     if first:
         yield bullets(first)
     if more:
-        yield fold(
-            f"{counted(len(more), 'more notice')}", bullets(more, MOST_LINES, "more; result.json lists them all")
-        )
+        yield fold(f"{plural(len(more), 'more notice')}", bullets(more, MOST_LINES, "more; result.json lists them all"))
     yield _row_counts(outcome)
     if flagged:
-        yield fold(f"{counted(flagged, 'outlier')}", _outliers(outcome))
+        yield fold(f"{plural(flagged, 'outlier')}", _outliers(outcome))
     if m.origin.refused:
         remarks = [str(remark) for remark in m.origin.refused]
-        title = f"{counted(len(remarks), 'refused row')}"
+        title = f"{plural(len(remarks), 'refused row')}"
         yield fold(title, bullets(remarks, MOST_LINES, "more; result.json lists them all"))
 
 
@@ -83,7 +81,7 @@ def _blocks(outcome: Outcome) -> Markup:
         last = first + len(block.channels)
         counts = [own, own & parts["train"], own & parts["test"], own & outcome.outlier]
         noise = sigmas_in_words(outcome.noise[first:last], block.channels)
-        lines.append([block.name, KINDS[block.kind].words, *(f"{mask.sum():,}" for mask in counts), noise])
+        lines.append([block.name, MEASUREMENT_KINDS[block.kind].words, *(f"{mask.sum():,}" for mask in counts), noise])
         first = last
     head = ["block", "measures", "rows", "fitted", "held out", "outliers", "noise of each number"]
     return table(head, lines, "Rows of each block", numbers=2)
@@ -112,11 +110,11 @@ def _repeats(outcome: Outcome) -> Content:
     repeated = (
         f"{repeats.groups:,} {what} at the same configuration, of the same thing"
         if several
-        else (f"{counted(repeats.groups, 'configuration')} measured more than once")
+        else (f"{plural(repeats.groups, 'configuration')} measured more than once")
     )
     return tag(
         "p",
-        f"{repeated} ({counted(repeats.rows, 'row')}). "
+        f"{repeated} ({plural(repeats.rows, 'row')}). "
         f"Repeats scatter by {sigmas_in_words(repeats.sigma, outcome.channels)} (1σ {per_number(outcome)}).{repeatability}",
     )
 
@@ -166,12 +164,12 @@ def _of_things(m: Dataset, k: int) -> str:
 def enough(outcome: Outcome) -> Iterator[Content]:
     """Question 3: is there enough data, in the right places?"""
     precision, joints = outcome.precision, joint_ranges(outcome)
-    placed = known_scale(outcome.measurements) is not None
+    placed = known_scale_sigma(outcome.measurements) is not None
     certainty = outcome.certainty
     sigma = {"at the fitted rows": 1e3 * precision.position}
-    if certainty is not None and certainty.anywhere.told.any():
-        sigma["over the whole joint range"] = 1e3 * certainty.anywhere.sigma[certainty.anywhere.told]
-    placed = placed and (certainty is None or bool(certainty.anywhere.told.any()))
+    if certainty is not None and certainty.anywhere.observable.any():
+        sigma["over the whole joint range"] = 1e3 * certainty.anywhere.sigma[certainty.anywhere.observable]
+    placed = placed and (certainty is None or bool(certainty.anywhere.observable.any()))
     yield _pictures(joints, sigma if placed else {})
     named = {f"{name} [mm]": values for name, values in sigma.items() if placed}
     if outcome.measurements.sees_turns:
@@ -211,7 +209,7 @@ def _joint_table(joints: list[JointRange]) -> Markup:
     """Limits and measured range of every joint."""
     lines: list[list[Content]] = []
     for j in joints:
-        limits, measured = range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind)
+        limits, measured = range_in_words(j.limits, j.kind), range_in_words(j.range, j.kind)
         lines.append([tag("code", j.name), limits, measured, f"{100 * j.measured:.0f} %"])
     head = ["joint", "limits", "measured", "share of the range, or of one turn"]
     return table(head, lines, "Joint ranges of the fitted rows")

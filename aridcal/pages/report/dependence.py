@@ -6,16 +6,22 @@ from collections.abc import Iterator
 
 from markupsafe import Markup
 
-from aridcal.engine.search.noise_tests import SURE
+from aridcal.engine.search.noise_tests import FALSE_ALARM
 from aridcal.engine.search.residual_trends import Course, Order, Trace
 from aridcal.engine.trust.gains import Diagnosis
-from aridcal.jobs.calibrate.key_figures import clear_traces, corrected, significant, slowly_changing, strays
+from aridcal.jobs.calibrate.key_figures import (
+    clear_traces,
+    corrected,
+    significant,
+    slowly_changing,
+    stray_autocorrelations,
+)
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.figures import Trend, correlogram, of_cloud, panels
+from aridcal.pages.drawing.figures import Trend, cloud_caption, correlogram, panels
 from aridcal.pages.drawing.html import Content, figures, fold, table, tag
 from aridcal.pages.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.wording import number, shown_in
+from aridcal.system.wording import number, shown_unit
 
 MOST_TRACES = 12
 
@@ -42,7 +48,7 @@ def _noise_tests(diagnosis: Diagnosis) -> Iterator[Content]:
     """Tests of the final model's residual."""
     lines = []
     for clue in diagnosis.clues:
-        answer = "yes" if clue.tells else "yes, but too little to matter" if clue.p_value < SURE else "no"
+        answer = "yes" if clue.tells else "yes, but too little to matter" if clue.p_value < FALSE_ALARM else "no"
         lines.append([clue.what, f"{100 * clue.share:.0f} %", p_in_words(clue.p_value), answer])
     if lines:
         head = ["sign of structure", "share of the variance", "p-value", "significant"]
@@ -66,7 +72,7 @@ def _in_order(order: Order) -> Iterator[Content]:
         return
     ordered = "time order" if order.timed else "table order"
     place = f"In {ordered}" if order.timed else f"In {ordered} (no time was recorded)"
-    off, by_chance = strays(order), max(round(SHARE_OUTSIDE_BAND * count), 1)
+    off, by_chance = stray_autocorrelations(order), max(round(SHARE_OUTSIDE_BAND * count), 1)
     said = tag(
         "p",
         f"{place}, residuals change sign {order.changes:,} times from one row to the next; pure noise gives "
@@ -95,9 +101,13 @@ def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     )
     drawn: list[tuple[Content, Markup]] = []
     for k, trace in enumerate(progress.over(traces, "pictures of joints")):
-        caption = [tag("code", trace.motion), f": {_in_words(outcome, trace, len(traces))}", of_cloud(len(trace.seen))]
+        caption = [
+            tag("code", trace.motion),
+            f": {_in_words(outcome, trace, len(traces))}",
+            cloud_caption(len(trace.covariate_values)),
+        ]
         drawn.append((caption, _picture(outcome, f"joint-{k}", trace)))
-    waving = sum(corrected(trace.after.p_value, len(traces)) <= SURE for trace in traces)
+    waving = sum(corrected(trace.after.p_value, len(traces)) <= FALSE_ALARM for trace in traces)
     title = f"Remaining error as an error of each joint: {waving or 'none'} of {len(traces)} {_are(waving)} significant"
     yield fold(title, said, figures(drawn))
 
@@ -113,18 +123,18 @@ def _in_words(outcome: Outcome, trace: Trace, tests: int) -> str:
 def _size_in_words(trace: Trace, course: Course, tests: int) -> str:
     """A repeatable part with its p-value, corrected for the number of those asked about."""
     p = corrected(course.p_value, tests)
-    if p > SURE:
+    if p > FALSE_ALARM:
         return f"nothing significant (p = {p_in_words(p)})"
     return f"{_size(trace, course)} RMS repeatable (p {'' if p < 1e-100 else '= '}{p_in_words(p)})"
 
 
 def _unit(trace: Trace) -> str:
-    return "sigma" if trace.unit == "1" else shown_in(trace.unit)[0]
+    return "sigma" if trace.unit == "1" else shown_unit(trace.unit)[0]
 
 
 def _size(trace: Trace, course: Course) -> str:
     """The size of a trace with one model, in its own unit, in words."""
-    return f"{number(shown_in(trace.unit)[1] * course.size, 2)} {_unit(trace)}" if course.size > 0 else "0"
+    return f"{number(shown_unit(trace.unit)[1] * course.size, 2)} {_unit(trace)}" if course.size > 0 else "0"
 
 
 def _models(outcome: Outcome, trace: Trace) -> dict[str, Course]:
@@ -137,7 +147,7 @@ def _picture(outcome: Outcome, key: str, trace: Trace) -> Markup:
     unit, scale = axis_unit(outcome, trace.covariate)
     centre, at = scale * trace.centre, scale * trace.at
     models = _models(outcome, trace)
-    size = shown_in(trace.unit)[1]
+    size = shown_unit(trace.unit)[1]
     values = {name: size * course.rows for name, course in models.items()}
     trends = {
         name: Trend(centre, size * course.mean, size * trace.std, at, size * course.smooth)
@@ -145,12 +155,12 @@ def _picture(outcome: Outcome, key: str, trace: Trace) -> Markup:
     }
     alt = f"Remaining error as a motion of {trace.motion}, over {trace.covariate}"
     labels = (f"{trace.covariate}{unit}", f"{trace.motion} [{_unit(trace)}]")
-    return panels(key, alt, scale * trace.seen, values, labels, trends)
+    return panels(key, alt, scale * trace.covariate_values, values, labels, trends)
 
 
 def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     """On which joint, load or column anything depends."""
-    traces, tests = clear_traces(outcome), outcome.traces.asked
+    traces, tests = clear_traces(outcome), outcome.traces.pairs_tested
     if not traces:
         return
     clear = [trace for trace in traces if significant(trace, tests)]
@@ -171,14 +181,14 @@ def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     drawn: list[tuple[Content, Markup]] = []
     for k, trace in enumerate(progress.over(worth[:MOST_TRACES], "pictures of dependences")):
         names = [tag("code", trace.motion), " over ", tag("code", trace.covariate)]
-        caption = [*names, f": {_in_words(outcome, trace, tests)}", of_cloud(len(trace.seen))]
+        caption = [*names, f": {_in_words(outcome, trace, tests)}", cloud_caption(len(trace.covariate_values))]
         drawn.append((caption, _picture(outcome, f"trace-{k}", trace)))
     yield fold(title, said, _trace_table(outcome, traces[:MOST_TRACES]), figures(drawn))
 
 
 def _trace_table(outcome: Outcome, traces: list[Trace]) -> Markup:
     """Size and p-value of some dependences."""
-    tests = outcome.traces.asked
+    tests = outcome.traces.pairs_tested
     lines: list[list[Content]] = []
     for trace in traces:
         sizes = [_size(trace, course) for course in _models(outcome, trace).values()]

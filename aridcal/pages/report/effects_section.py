@@ -9,17 +9,17 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.engine.corrections.effect import ANGULAR, Coefficient, Effect
 from aridcal.engine.corrections.labels import label_in
 from aridcal.engine.corrections.regional_kind import is_field, is_of_labels, labels_of
 from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect
-from aridcal.jobs.calibrate.folder import what_moved
+from aridcal.jobs.calibrate.folder import step_in_words
 from aridcal.jobs.calibrate.outcome import Outcome, errors
-from aridcal.pages.drawing.figures import curve, of_cloud
+from aridcal.pages.drawing.figures import cloud_caption, curve
 from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
 from aridcal.pages.drawing.words import how_to_separate
-from aridcal.system.wording import counted, number, plus_minus, shown_in
+from aridcal.system.wording import number, plural, plus_minus, shown_unit
 
 CURVES_IN_SIGHT = 4
 MOST_REJECTED = 15
@@ -46,7 +46,7 @@ def effects_in_the_model(outcome: Outcome) -> Iterator[Content]:
     curves = [_curve(outcome, f"effect-{k}", effect, part) for k, (effect, part) in enumerate(pairs)]
     yield figures(curves[:CURVES_IN_SIGHT])
     if len(curves) > CURVES_IN_SIGHT:
-        yield fold(counted(len(curves) - CURVES_IN_SIGHT, "more curve"), figures(curves[CURVES_IN_SIGHT:]))
+        yield fold(plural(len(curves) - CURVES_IN_SIGHT, "more curve"), figures(curves[CURVES_IN_SIGHT:]))
     yield from _confounded(outcome)
     labels = [_by_label(outcome, e.effect) for e in outcome.effects if is_of_labels(e.effect)]
     yield fold("Gain and coefficients of each effect", _gains(outcome), _coefficients(outcome), labels)
@@ -61,10 +61,10 @@ def _gains(outcome: Outcome) -> Markup:
     for e in outcome.effects:
         name: list[Content] = [e.effect.label]
         if e.effect.kind not in explained:
-            name += [tag("br"), tag("em", KINDS[e.effect.kind].words)]
+            name += [tag("br"), tag("em", EFFECT_KINDS[e.effect.kind].words)]
             explained.add(e.effect.kind)
         if e.effect.at is not None:
-            name += [tag("br"), what_moved(e.effect, outcome.measurements)]
+            name += [tag("br"), step_in_words(e.effect, outcome.measurements)]
         line: list[Content] = [name, ", ".join(e.effect.motion), ", ".join(e.effect.covariates)]
         line += ["declared" if e.declared else "found", p_in_words(e.p_value)]
         every = np.ones(len(e.before), dtype=bool)
@@ -86,17 +86,17 @@ def p_in_words(p: float) -> str:
 def _curve(outcome: Outcome, key: str, effect: NamedEffect, motion: Curve) -> tuple[Content, Markup]:
     """Caption and picture of one motion of an effect over one covariate."""
     unit, scale = axis_unit(outcome, motion.covariate)
-    moved, size = shown_in(motion.unit)
+    moved, size = shown_unit(motion.unit)
     label = effect.effect.label
     alt = f"{label}: {motion.component} over {motion.covariate}"
-    rows = (scale * motion.seen, size * motion.pulled)
+    rows = (scale * motion.row_values, size * motion.pulled)
     labels = (f"{motion.covariate}{unit}", f"{motion.component} [{moved}]")
     periods = max(effect.effect.order, default=0.0) * float(np.ptp(motion.at)) / (2 * math.pi)
     at, value, std = scale * motion.at, size * motion.value, size * motion.std
     picture = curve(key, alt, at, value, std, rows, labels, winding=periods > MOST_PERIODS_OF_A_NARROW_FIGURE)
     span, sigma = number(float(np.ptp(value))), number(float(np.median(std)), 2)
     range_and_sigma = f"{span} {moved} peak to peak, known to {sigma} {moved} (median 1σ)"
-    said = f", {motion.component} over {motion.covariate}: {range_and_sigma}{of_cloud(len(motion.seen))}"
+    said = f", {motion.component} over {motion.covariate}: {range_and_sigma}{cloud_caption(len(motion.row_values))}"
     return [tag("code", label), said], picture
 
 
@@ -139,7 +139,7 @@ def _coefficients(outcome: Outcome) -> Content:
         for c in e.effect.coefficients:
             if c.name in index:
                 k = index[c.name]
-                shown, size = shown_in(units.get(c.component, "m"))
+                shown, size = shown_unit(units.get(c.component, "m"))
                 value = plus_minus(size * float(fit.theta[k]), size * float(fit.std[k]))
                 unit = (shown if c.component in units else "") + _per(outcome, c.basis)
                 lines.append([tag("code", c.name), value, unit])
@@ -155,7 +155,9 @@ def _by_label(outcome: Outcome, effect: Effect) -> Content:
     labels = labels_of(c.basis for c in effect.coefficients)
     turning = {j.name for j in outcome.robot.joints if j.kind == "revolute"}
     shown = {
-        component: shown_in("rad" if component in ANGULAR or (component == "axis" and effect.where in turning) else "m")
+        component: shown_unit(
+            "rad" if component in ANGULAR or (component == "axis" and effect.where in turning) else "m"
+        )
         for component in effect.motion
     }
     cells: dict[str, list[Content]] = {name: [] for name in labels}
@@ -225,4 +227,4 @@ def other_candidates(diagnosis: Diagnosis) -> Iterator[Content]:
         said.append(
             bullets((f"{b.what}: {b.why}" for b in diagnosis.barred), MOST_BARRED, "more that could not be tested")
         )
-    yield fold(f"{counted(diagnosis.tested, 'candidate')} tested; why the best of the others were rejected", said)
+    yield fold(f"{plural(diagnosis.tested, 'candidate')} tested; why the best of the others were rejected", said)

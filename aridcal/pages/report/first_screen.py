@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from aridcal.engine.corrections.catalogue import KINDS, is_of_head
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, is_of_head
 from aridcal.engine.fit.noise import WORTH_SAYING
 from aridcal.files.purposes import About
 from aridcal.jobs.calibrate.joint_zeros import joint_zeros
 from aridcal.jobs.calibrate.key_figures import (
     PLUS,
-    Step,
-    another_day,
+    ModelStep,
     constants,
     judged_channels,
     or_as_well,
@@ -24,28 +23,29 @@ from aridcal.jobs.calibrate.key_figures import (
     scored,
     squared,
     steps,
+    verification_agreement,
 )
 from aridcal.jobs.calibrate.outcome import Outcome, errors, leading
 from aridcal.jobs.calibrate.verdict import VERDICTS
-from aridcal.pages.drawing.frame import card
 from aridcal.pages.drawing.html import Content, bullets, codes, fold, tag
+from aridcal.pages.drawing.page_frame import card
 from aridcal.pages.drawing.parts import size_in_words, zero_in_words
 from aridcal.pages.drawing.words import (
     NOT_FOR_A_CONTROLLER,
-    NOT_STATED,
+    NOT_STATED_WORDS,
     at_target_in_words,
     causes_in_words,
-    kept_in_words,
+    certificate_subject,
     noise_in_words,
     noise_unknown_in_words,
     per_number,
     sigmas_in_words,
-    who_and_what,
+    tolerance_in_words,
 )
 from aridcal.pages.report.trust_checks import RULES, other_day
-from aridcal.system.wording import counted, number
+from aridcal.system.wording import number, plural
 
-NO_BETTER = " No model can reliably do better."
+NO_RELIABLE_MODEL = " No model can reliably do better."
 BELOW = (
     " The remaining error is smaller than {}, so that is no floor: it is stated too large, or was measured otherwise."
 )
@@ -62,14 +62,14 @@ LINKED = {
 NOT_READY = {"calibrated.urdf": "not for a controller", "calibration.yaml": "the whole model"}
 """What these files are for where there are too few data."""
 
-GIVEN = {"nominal": "as built", "geometric": "with the URDF", "final": "with compensation"}
+GIVEN_MODELS = {"nominal": "as built", "geometric": "with the URDF", "final": "with compensation"}
 """Models by what a customer is given of them."""
 
 OF_THE_TARGET = ("position", "rotation")
 """Channels that say how far the target is from where the controller sent it."""
 
 MOST_BARS = 7
-MOST_CAUSES = 3
+MOST_SHOWN_CAUSES = 3
 
 # Share of the squared error below which only its smallness is told.
 LEAST_SHARE_SHOWN = 1e-3
@@ -88,7 +88,7 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     yield from _files(outcome, beside)
     cards = [_card(outcome, k) for k in judged_channels(outcome)]
     yield tag("div", cards, _other_day(outcome), class_="cards")
-    for good, words in kept_in_words(outcome, asked=True):
+    for good, words in tolerance_in_words(outcome, asked=True):
         yield tag("p", tag("strong", words), class_="good" if good else "look")
     yield tag(
         "div",
@@ -103,7 +103,7 @@ def _title(outcome: Outcome) -> Iterator[Markup]:
     """Which robot was calibrated from what, by whom, and whether a controller may have the result."""
     m, robot = outcome.measurements, outcome.robot
     files = ", ".join(path.name for path in m.origin.files)
-    rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
+    rows = f"{plural(len(m), 'row')}, {m.test.sum():,} of them held out"
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.from_to}", class_="about")
     yield tag("p", list(_who_and_what(outcome)), class_="about")
@@ -130,12 +130,12 @@ def _trust(outcome: Outcome) -> Iterator[Markup]:
 def _who_and_what(outcome: Outcome) -> Iterator[Content]:
     """Robot, serial number, instrument, who and when, as far as the campaign states them."""
     about = outcome.campaign.about or About()
-    facts = dict(who_and_what(about, outcome.robot, outcome.measurements))
+    facts = dict(certificate_subject(about, outcome.robot, outcome.measurements))
     if not about.robot:
         del facts["Robot"]  # its name is the title
-    stated = [f"{name}: {said}" for name, said in facts.items() if said != NOT_STATED]
+    stated = [f"{name}: {said}" for name, said in facts.items() if said != NOT_STATED_WORDS]
     yield f"{' · '.join(stated)}. "
-    rest = [name.lower() for name, said in facts.items() if said == NOT_STATED]
+    rest = [name.lower() for name, said in facts.items() if said == NOT_STATED_WORDS]
     if rest:
         yield "Not stated, under "
         yield tag("code", "about:")
@@ -187,7 +187,7 @@ def in_controller(outcome: Outcome, k: int) -> str:
 
 def _other_day(outcome: Outcome) -> Content:
     """A card on another day's rows; nothing where there are none."""
-    verification, said = outcome.verification, another_day(outcome)
+    verification, said = outcome.verification, verification_agreement(outcome)
     if verification is None or said is None:
         return ""
     rows = verification.measurements
@@ -203,7 +203,7 @@ def _other_day(outcome: Outcome) -> Content:
     return card(noun, channel.shown, *days, "before → after calibration, on the rows given with --verify.", below)
 
 
-def _bars(scores: list[tuple[Step, float]], unit: str) -> Markup:
+def _bars(scores: list[tuple[ModelStep, float]], unit: str) -> Markup:
     """One bar for each model; of many the ones before the last are taken together."""
     bars = [(_name(step), value) for step, value in scores]
     if len(bars) > MOST_BARS:
@@ -220,10 +220,10 @@ def _bars(scores: list[tuple[Step, float]], unit: str) -> Markup:
     return tag("ol", drawn, class_="bars")
 
 
-def _name(step: Step) -> str:
+def _name(step: ModelStep) -> str:
     """Name of a model, as a customer knows it; what equals the whole model keeps its other name."""
     names = step.names[:-1] if len(step.names) > 1 and step.names[-1] == "final" else step.names
-    return " = ".join(GIVEN.get(name, name) for name in names)
+    return " = ".join(GIVEN_MODELS.get(name, name) for name in names)
 
 
 def _shares(outcome: Outcome) -> Iterator[Markup]:
@@ -260,7 +260,9 @@ def _largest(outcome: Outcome) -> Iterator[Markup]:
         yield tag("p", "Largest: ", words[1:], ".")
 
 
-def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], corrections: int) -> Iterator[tuple[str, str]]:
+def _shares_in_words(
+    outcome: Outcome, shares: list[tuple[ModelStep, float]], corrections: int
+) -> Iterator[tuple[str, str]]:
     """``86 %`` and ``nine geometric corrections``, ``12 %`` and ``joint_map at joint_2 (the joint's angle errs ...)``.
 
     Args:
@@ -268,9 +270,9 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
         shares: Steps with their shares of the squared error, the largest first.
         corrections: How many geometric corrections were identified.
     """
-    meanings = {e.effect.label: f"{KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
+    meanings = {e.effect.label: f"{EFFECT_KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
     explained = set()
-    for step, share in shares[:MOST_CAUSES]:
+    for step, share in shares[:MOST_SHOWN_CAUSES]:
         geometric = "geometric" in step.names
         who = _corrections_in_words(corrections) if geometric else step.effect or "the final fit"
         meaning = "" if geometric else meanings.get(step.effect, "")
@@ -278,9 +280,9 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
             explained.add(meaning)
             who = f"{who} ({meaning})"
         yield _percent(share), who
-    rest = [share for _, share in shares[MOST_CAUSES:]]
+    rest = [share for _, share in shares[MOST_SHOWN_CAUSES:]]
     if rest:
-        yield _percent(sum(rest)), counted(len(rest), "further correction")
+        yield _percent(sum(rest)), plural(len(rest), "further correction")
 
 
 def _corrections_in_words(count: int) -> str:
@@ -324,13 +326,15 @@ def _noise(outcome: Outcome) -> str:
     whose, all_of_it = (" of the instrument", "with all that scatters ") if more else ("", "")
     in_all = f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if more or outcome.measurements.direct else ""
     if outcome.noise_source == "declared":
-        floor = NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
+        floor = NO_RELIABLE_MODEL if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
         return f"Declared noise{whose}: {per_axis}{in_all}.{floor}"
     said = f"Noise{whose} estimated from the residuals: {per_axis}{in_all}."
     if outcome.repeats is None:
         return said
     repeats = f" Repeats scatter by {noise_in_words(outcome, outcome.repeats.sigma)}."
-    floor = NO_BETTER if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
+    floor = (
+        NO_RELIABLE_MODEL if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
+    )
     return f"{said}{repeats}{floor}"
 
 

@@ -12,13 +12,13 @@ from aridcal.engine.robot.kinematics import start_frames
 from aridcal.jobs.calibrate.key_figures import axis_rms, row_errors, scored, steps, worst_rows
 from aridcal.jobs.calibrate.outcome import STATISTICS, Outcome, errors
 from aridcal.pages.drawing.fields import color_steps, field
-from aridcal.pages.drawing.figures import histogram, of_cloud, panels
+from aridcal.pages.drawing.figures import cloud_caption, histogram, panels
 from aridcal.pages.drawing.html import Content, figures, fold, table, tag
 from aridcal.pages.report.data_section import row_table
-from aridcal.pages.report.second_look_section import halves, left_out
-from aridcal.system.wording import counted, number, reading_in_words
+from aridcal.pages.report.second_look_section import halves, left_out_section
+from aridcal.system.wording import number, plural, reading_in_words
 
-PARTS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
+PART_WORDS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
 STATISTIC_NAMES = dict(zip(STATISTICS, ("RMS", "mean", "median", "95 % below", "max"), strict=True))
 MOST_WORST = 5
 
@@ -47,7 +47,7 @@ def fits(outcome: Outcome) -> Iterator[Content]:
     yield _workspace(outcome)
     yield fold("Errors of every model", list(_error_tables(outcome)))
     yield from halves(outcome)
-    yield from left_out(outcome)
+    yield from left_out_section(outcome)
     yield fold("Axis by axis", _axis_table(outcome), _axis_pictures(compared, outcome.channels, words))
     worst = worst_rows(outcome, MOST_WORST)
     readings = [_configuration(outcome, k) for k in worst]
@@ -60,7 +60,7 @@ def _error_tables(outcome: Outcome) -> Iterator[Content]:
     parts = {name: mask for name, mask in outcome.parts().items() if mask.any()}
     if not (parts.get("test_all", outcome.outlier) & outcome.outlier).any():
         parts.pop("test_all", None)
-    shown = {name: title for name, title in PARTS.items() if name in parts}
+    shown = {name: title for name, title in PART_WORDS.items() if name in parts}
     _, *other_titles = STATISTIC_NAMES.values()
     head = ["model"]
     for title in shown.values():
@@ -149,7 +149,7 @@ def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: s
         values = {name: scale[k] * residual[own, k] for name, residual in compared.items()}
         alt = f"Residual {axis} row by row, before and after calibration"
         labels = (f"number of the row among the {words}", axis)
-        caption = f"Measured minus predicted: {axis}{of_cloud(int(own.sum()))}"
+        caption = f"Measured minus predicted: {axis}{cloud_caption(int(own.sum()))}"
         drawn.append((caption, panels(f"axis-{k}", alt, order[own], values, labels)))
     return figures(drawn)
 
@@ -200,7 +200,8 @@ def verification(outcome: Outcome) -> Iterator[Content]:
     other_day = outcome.verification
     assert other_day is not None
     yield tag(
-        "p", f"{other_day.file}: {counted(len(other_day.measurements), 'row')} that were not used for the calibration."
+        "p",
+        f"{other_day.file}: {plural(len(other_day.measurements), 'row')} that were not used for the calibration.",
     )
     if other_day.left_out:
         yield tag("p", f"{other_day.left_out}.")
@@ -214,7 +215,7 @@ def verification(outcome: Outcome) -> Iterator[Content]:
         scores = {name: errors(residual, sound, channels)[channel.key] for name, residual in models.items()}
         lines = [[name, *(number(s[k]) for k in STATISTICS)] for name, s in scores.items()]
         shown.append(table(["model", *STATISTIC_NAMES.values()], lines, channel.title.capitalize()))
-    excluded = counted(int(other_day.outlier.sum()), "gross outlier")
+    excluded = plural(int(other_day.outlier.sum()), "gross outlier")
     yield tag(
         "p",
         f"{excluded} excluded. An error that is small only with the frames refitted says that the target or the instrument "

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 import pinocchio as pin
 from markupsafe import Markup
 
-from aridcal.jobs.calibrate.closed_form import ClosedForm
+from aridcal.jobs.calibrate.doty_answer import ClosedForm
 from aridcal.jobs.calibrate.key_figures import scored
 from aridcal.jobs.calibrate.measuring_head import HeadNumber, MeasuringHead
 from aridcal.jobs.calibrate.outcome import Outcome, errors
 from aridcal.pages.drawing.html import Content, fold, table, tag
 from aridcal.pages.report.identified_section import length_or_angle
-from aridcal.system.wording import counted, fixed, number, plus_minus
+from aridcal.system.wording import fixed, number, plural, plus_minus
 
 # Link parameters of the closed form: symbol, column of a row (d, θ, β, a, α), and whether it is an angle.
 LINKS = (("θ", 1, True), ("β", 2, True), ("a", 3, False), ("α", 4, True))
@@ -42,7 +42,7 @@ def _misfit(head: MeasuringHead) -> Markup:
     before, after = (number(times) for times in head.misfit)
     return tag(
         "p",
-        f"{counted(shots, 'shot')} with {len(shot_of_fiducial) / shots:.0f} fiducials each on average. Once a pose is fitted to "
+        f"{plural(shots, 'shot')} with {len(shot_of_fiducial) / shots:.0f} fiducials each on average. Once a pose is fitted to "
         "a shot, its image points and ranges must agree, whatever the arm does. They deviate by "
         f"{before} times their stated noise with the head as declared, and by {after} times with the head as identified; "
         "noise alone gives 1.",
@@ -58,7 +58,7 @@ def _parameters(head: MeasuringHead) -> Markup:
         )
     titles = ["parameter", "as declared", "as identified ± 1σ"]
     shown = table(titles, [_line(n) for n in moved], "Identified parameters of the head")
-    return fold(f"{counted(len(moved), 'identified parameter')} of the head", shown)
+    return fold(f"{plural(len(moved), 'identified parameter')} of the head", shown)
 
 
 def _line(n: HeadNumber) -> list[Content]:

@@ -17,8 +17,8 @@ from aridcal.jobs.calibrate.key_figures import constants, solved_stages
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.html import Content, codes, fold, table, tag
 from aridcal.pages.drawing.parts import zero_in_words
-from aridcal.pages.report.second_look_section import known
-from aridcal.system.wording import counted, fixed, number, plus_minus
+from aridcal.pages.report.second_look_section import combinations_section
+from aridcal.system.wording import fixed, number, plural, plus_minus
 
 SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
 ZERO = "axis"
@@ -40,14 +40,14 @@ def identifiable(outcome: Outcome) -> Iterator[Content]:
     fit = outcome.stage("geometric").fit
     rank = f"{len(fit.theta):,} of {len(fit.candidates):,} coefficients identified"
     yield fold(f"{rank}, condition number {number(fit.convergence.condition)}", _convergence(outcome))
-    yield from known(outcome)
+    yield from combinations_section(outcome)
 
 
 def _redundant(redundant: dict[str, tuple[str, ...]]) -> Iterator[Content]:
     """What keeps its nominal value, and why."""
     yield tag(
         "p",
-        f"{counted(len(redundant), 'coefficient')} cannot be told from others by these measurements. Each keeps its nominal "
+        f"{plural(len(redundant), 'coefficient')} cannot be told from others by these measurements. Each keeps its nominal "
         "value, and the others contain its error. Predictions of the target lose nothing by this.",
     )
     lines = [[tag("code", name), _partners(names)] for name, names in redundant.items()]
@@ -125,7 +125,7 @@ def _zeros(outcome: Outcome) -> Iterator[Content]:
     )
     head = ["joint", "constant", "zero off by ± 1σ"]
     shown = table(head, lines, "Zeros of the joints, among the other constants", numbers=2)
-    yield fold(f"Zeros of {counted(len(zeros), 'joint')}", said, shown)
+    yield fold(f"Zeros of {plural(len(zeros), 'joint')}", said, shown)
 
 
 def _constants(outcome: Outcome) -> Iterator[Content]:

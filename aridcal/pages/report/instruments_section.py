@@ -9,19 +9,19 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal.engine.fit.constants import has_world
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.pixels import ON_TIP
-from aridcal.jobs.calibrate.instrument_results import ThingValue, known_scale
+from aridcal.jobs.calibrate.instrument_results import ThingValue, known_scale_sigma
 from aridcal.jobs.calibrate.key_figures import row_errors
 from aridcal.jobs.calibrate.outcome import Outcome, leading
 from aridcal.pages.drawing.html import Content, codes, fold, table, tag
 from aridcal.pages.drawing.words import scale_in_words
-from aridcal.system.wording import counted, number, plus_minus, shown_in
+from aridcal.system.wording import number, plural, plus_minus, shown_unit
 
 MOST_THINGS = 40
 """Lines of a table of things: result.json has them all."""
 
-MOST_NAMES = 12
+MOST_NAMED_CONSTANTS = 12
 """Constants that are named in a sentence."""
 
 CONSISTENCY = (
@@ -64,9 +64,9 @@ def instruments(outcome: Outcome) -> Iterator[Content]:
     for role, values in groupby(outcome.things, key=lambda v: v.role):
         yield from _things(outcome, role, list(values))
     kinds = dict.fromkeys(block.kind for block in m.blocks)
-    scaled = known_scale(m) not in (None, np.inf)
+    scaled = known_scale_sigma(m) not in (None, np.inf)
     more = MORE | (MORE_WITH_SCALE if scaled else {})
-    lines = [[KINDS[kind].words, BLIND[kind], more[kind]] for kind in kinds if kind in BLIND]
+    lines = [[MEASUREMENT_KINDS[kind].words, BLIND[kind], more[kind]] for kind in kinds if kind in BLIND]
     if lines:
         shown = table(["instrument", "cannot tell", "what would"], lines, "By kind of measurement", numbers=3)
         yield fold("What these instruments cannot tell, and what would", shown)
@@ -80,7 +80,7 @@ def _scale(outcome: Outcome) -> Iterator[Content]:
         said = ["Scale: the instruments measure lengths themselves; theirs is as good as they are."]
     where = "the world" if has_world(m) else "the robot's base, for no instrument knows another"
     said.append(f"Places are given in the frame of {where}.")
-    alone = known_scale(m)
+    alone = known_scale_sigma(m)
     yield tag("p", " ".join(said), class_="look" if alone is None or np.isinf(alone) else None)
 
 
@@ -93,7 +93,7 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
         if any(each.status != "fixed" for own in things for each in own if each.component == v.component)
     ]
     components = [v.component for v in shown]
-    heads = [f"{v.component} [{shown_in(v.unit)[0]}]" if v.unit else v.component for v in shown]
+    heads = [f"{v.component} [{shown_unit(v.unit)[0]}]" if v.unit else v.component for v in shown]
     errors, unit = _own_errors(outcome, role)
     lines: list[list[Content]] = []
     for own in sorted(things, key=lambda own: -errors.get(own[0].name, (0.0, 0, 0))[0])[:MOST_THINGS]:
@@ -108,13 +108,13 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
         parts.append(_carriers(outcome))
     if len(things) > MOST_THINGS:
         parts.append(tag("p", tag("em", f"and {len(things) - MOST_THINGS:,} more; result.json lists them all")))
-    yield fold(counted(len(things), role), parts)
+    yield fold(plural(len(things), role), parts)
     lost = [f"{v.name}.{v.component}" for v in values if v.status == "redundant"]
     if lost:
-        rest = len(lost) - MOST_NAMES
+        rest = len(lost) - MOST_NAMED_CONSTANTS
         yield tag(
             "p",
-            f"No row tells {counted(len(lost), 'number')} of them apart from the rest: ", codes(lost[:MOST_NAMES]),
+            f"No row tells {plural(len(lost), 'number')} of them apart from the rest: ", codes(lost[:MOST_NAMED_CONSTANTS]),
             f" and {rest:,} more" if rest > 0 else "", ". They stay where they began.", class_="look",
         )  # fmt: skip
 
@@ -139,7 +139,7 @@ def _value(v: ThingValue) -> str:
     """A number of a thing with its uncertainty, or why it has none."""
     if v.value is None:
         return "not told"
-    scale = shown_in(v.unit)[1]
+    scale = shown_unit(v.unit)[1]
     if v.status == "identified" and v.std is not None:
         return plus_minus(scale * v.value, scale * v.std)
     return f"{number(scale * v.value, 5)} ({v.status})"
@@ -152,7 +152,7 @@ def _own_errors(outcome: Outcome, role: str) -> tuple[dict[str, tuple[float, int
     errors: dict[str, tuple[float, int, int]] = {}
     unit = ""
     for b, (block, channel) in enumerate(zip(m.blocks, leading(m), strict=True)):
-        names = [each.name for each in KINDS[block.kind].roles]
+        names = [each.name for each in MEASUREMENT_KINDS[block.kind].roles]
         if role not in names:
             continue
         unit = outcome.channels[channel].shown

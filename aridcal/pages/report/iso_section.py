@@ -12,17 +12,17 @@ from aridcal.engine.trust.iso9283 import (
     ASKED_HOURS,
     ASKED_POSES,
     ENOUGH_CYCLES,
+    ISO_ROTATIONS,
     MEANINGS,
     OF_FIT,
     OF_PAIRS,
     STANDARD,
-    TURNS,
     Iso9283,
     applies,
 )
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.html import Content, fold, table, tag
-from aridcal.system.wording import counted, number
+from aridcal.system.wording import number, plural
 
 MOST_POSES = 30
 """Poses that the table lists."""
@@ -34,7 +34,7 @@ def iso(outcome: Outcome) -> Iterator[Content]:
     if figures is None:
         yield tag("p", _why_not(outcome))
         return
-    yield tag("p", what_was_made(figures))
+    yield tag("p", cycles_in_words(figures))
     yield fold("Worst figures, before and after", _summary(figures), tag("p", _definitions(figures)))
     yield fold(
         "Figures of each pose", _poses(figures, outcome), tag("p", tag("em", _left_out(figures, len(figures.cycles))))
@@ -54,12 +54,12 @@ def _why_not(outcome: Outcome) -> str:
     )
 
 
-def what_was_made(figures: Iso9283) -> str:
+def cycles_in_words(figures: Iso9283) -> str:
     """How many cycles of how many poses, and whether that is what the standard asks for."""
     counts = figures.counts
     few, many = int(counts.min()), int(counts.max())
-    cycles = counted(few, "cycle") if few == many else f"{few} to {counted(many, 'cycle')}"
-    poses = f"{counted(len(counts), 'pose')}, {cycles} of each."
+    cycles = plural(few, "cycle") if few == many else f"{few} to {plural(many, 'cycle')}"
+    poses = f"{plural(len(counts), 'pose')}, {cycles} of each."
     standard = f"{ASKED_CYCLES} cycles of {ASKED_POSES} poses"
     if not figures.enough:
         small = (
@@ -82,10 +82,10 @@ def lines(figures: Iso9283) -> list[tuple[str, str, str, str, str]]:
         before, after = _worst(figures, symbol)
         if not np.isnan(after):
             rows.append((symbol, f"{meaning} ({clause})", of, f"{number(before)} mm", f"{number(after)} mm"))
-        turns = [_worst(figures, f"{symbol}_{axis}") for axis in TURNS if f"{symbol}_{axis}" in figures.final]
+        turns = [_worst(figures, f"{symbol}_{axis}") for axis in ISO_ROTATIONS if f"{symbol}_{axis}" in figures.final]
         if turns and not np.isnan(turns).any():
             first, last = (", ".join(number(turn[k]) for turn in turns) for k in (0, 1))
-            about = f"{symbol} {', '.join(TURNS)}"
+            about = f"{symbol} {', '.join(ISO_ROTATIONS)}"
             rows.append((about, f"orientation {meaning} ({clause})", of, f"{first} mrad", f"{last} mrad"))
     return rows
 
@@ -95,9 +95,9 @@ def _which(figures: Iso9283, symbol: str) -> str:
     mask = figures.judged(symbol) & ~np.isnan(figures.final[symbol])
     what = "pair" if symbol in OF_PAIRS else "pose"
     if symbol not in OF_FIT:
-        return counted(int(mask.sum()), what)
+        return plural(int(mask.sum()), what)
     new = figures.held_out[figures.pairs].all(axis=1) if symbol in OF_PAIRS else figures.held_out
-    return counted(int(mask.sum()), f"held-out {what}") if new.any() else f"{counted(int(mask.sum()), what)}, fitted"
+    return plural(int(mask.sum()), f"held-out {what}") if new.any() else f"{plural(int(mask.sum()), what)}, fitted"
 
 
 def _worst(figures: Iso9283, symbol: str) -> tuple[float, float]:
@@ -155,12 +155,12 @@ def _left_out(figures: Iso9283, poses: int) -> str:
     if poses > MOST_POSES:
         said.append(f"{poses - MOST_POSES:,} more poses are in result.json.")
     if len(figures.pairs):
-        pairs = counted(len(figures.pairs), "pair")
+        pairs = plural(len(figures.pairs), "pair")
         said.append(f"{' and '.join(OF_PAIRS)} are of the {pairs} of poses at one station; result.json has each.")
     if figures.copies:
         said.append(
-            f"{counted(figures.copies, 'row')} with the same measurement bit for bit as another cycle: no cycles."
+            f"{plural(figures.copies, 'row')} with the same measurement bit for bit as another cycle: no cycles."
         )
     if figures.flagged:
-        said.append(f"{counted(figures.flagged, 'row')} flagged as outliers: left out.")
+        said.append(f"{plural(figures.flagged, 'row')} flagged as outliers: left out.")
     return " ".join(said)

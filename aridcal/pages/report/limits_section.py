@@ -45,7 +45,7 @@ def limits(outcome: Outcome) -> Iterator[Content]:
 
 def _outside(outcome: Outcome) -> Content:
     """Joints of which less than half of the range was measured, and what the model does outside."""
-    ranges = [f"{j.name} ({range_in_words(j.seen, j.kind)})" for j in narrow_joints(outcome)]
+    ranges = [f"{j.name} ({range_in_words(j.range, j.kind)})" for j in narrow_joints(outcome)]
     measured = (
         f"Less than half of the range was measured of: {', '.join(ranges)}."
         if ranges

@@ -11,8 +11,8 @@ from aridcal import __version__
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.jobs.calibrate.controllers import ControllerExports
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.frame import Section, empty_page, framed_page
-from aridcal.pages.drawing.html import Content, attempt, join, missing, noting
+from aridcal.pages.drawing.html import Content, attempt, collect_notices, join, missing
+from aridcal.pages.drawing.page_frame import Section, empty_page, framed_page
 from aridcal.pages.report.data_section import data, enough
 from aridcal.pages.report.dependence import drives
 from aridcal.pages.report.first_screen import summary
@@ -23,8 +23,8 @@ from aridcal.pages.report.instruments_section import instruments
 from aridcal.pages.report.iso_section import iso
 from aridcal.pages.report.limits_section import limits, use
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.freed import give_back
-from aridcal.system.wording import counted
+from aridcal.system.reading.memory_release import give_back
+from aridcal.system.wording import plural
 
 # Anchor, title and content.
 Chapter = tuple[str, str, Iterable[Content]]
@@ -45,7 +45,7 @@ def write_report(
         Notices: what could not be drawn, and why.
     """
     beside = {file.name for file in path.parent.iterdir()}
-    with noting() as notices:
+    with collect_notices() as notices:
         text = attempt(
             "report.html",
             lambda: page(outcome, handover, progress, beside),
@@ -67,20 +67,20 @@ def page(
         beside: Names of files that stand beside the page, which it links to.
     """
     chapters = _chapters(outcome, handover, progress, beside)
-    head = drawn("Summary", summary(outcome, beside))
+    head = draw_section("Summary", summary(outcome, beside))
     parts = []
     for key, title, content in progress.over(chapters, "sections"):
         give_back()  # what the section before it made of all rows
-        parts.append(Section(title, drawn(title, content), key))
+        parts.append(Section(title, draw_section(title, content), key))
     return framed_page(f"Calibration of {outcome.robot.tree.name}", head, parts, foot(outcome.measurements))
 
 
 def foot(m: Dataset) -> str:
     """The last line of a page on one table of measurements: what made it, from which rows."""
-    return f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.origin.sha256[:16]}"
+    return f"aridcal {__version__}, {plural(len(m), 'row')} with sha256 {m.origin.sha256[:16]}"
 
 
-def drawn(title: str, content: Iterable[Content]) -> list[Content]:
+def draw_section(title: str, content: Iterable[Content]) -> list[Content]:
     """A section's content up to where it fails, and then a line that says so."""
     parts: list[Content] = []
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from markupsafe import Markup
 
-from aridcal.engine.levels import BLOCKS
-from aridcal.engine.trust.combinations import Combination, Known
-from aridcal.engine.trust.cross_validation import DECIDES, Influence
+from aridcal.engine.levels import JUDGING_FOLDS
+from aridcal.engine.trust.combinations import Combination, Identifiability
+from aridcal.engine.trust.cross_validation import DECIDING_SHIFT, Influence
 from aridcal.engine.trust.halves import Halves
-from aridcal.jobs.calibrate.instrument_results import known_scale
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.html import Content, bullets, fold, table, tag
 from aridcal.pages.drawing.parts import (
@@ -22,9 +22,9 @@ from aridcal.pages.drawing.parts import (
     pair_in_words,
 )
 from aridcal.pages.report.data_section import row_place
-from aridcal.system.wording import counted, number
+from aridcal.system.wording import number, plural
 
-MOST_ROWS = 5
+MOST_INFLUENTIAL_ROWS = 5
 MOST_PAIRS = 5
 AT_AN_END = 4
 """Combinations that are shown at either end of the list."""
@@ -48,7 +48,7 @@ def halves(outcome: Outcome) -> Iterator[Content]:
         f"The rows are divided into halves in {last.divisions} ways: by blocks of a reading, a load, another column or time. "
         f"Constants and effects are fitted to each half apart. {_judgement(last)}",
     )
-    placed = known_scale(outcome.measurements) is not None
+    placed = known_scale_sigma(outcome.measurements) is not None
     head = [
         "model",
         "halves that differ most",
@@ -78,7 +78,7 @@ def _judgement(comparison: Halves) -> str:
     )
 
 
-def left_out(outcome: Outcome) -> Iterator[Content]:
+def left_out_section(outcome: Outcome) -> Iterator[Content]:
     """Errors of rows left out in turn, and the rows that move the answer most."""
     looked = outcome.second_look
     if looked is None:
@@ -86,7 +86,8 @@ def left_out(outcome: Outcome) -> Iterator[Content]:
     if looked.folds is not None:
         said = tag(
             "p",
-            f"{BLOCKS} parts of the fitted rows are predicted in turn by a fit to the other parts. The effects stay the same.",
+            f"{JUDGING_FOLDS} parts of the fitted rows are predicted in turn by a fit to the other parts. The effects stay the "
+            f"same.",
         )
         channels = [(k, c) for k, c in enumerate(outcome.channels) if not c.inner]
         lines = []
@@ -99,7 +100,7 @@ def left_out(outcome: Outcome) -> Iterator[Content]:
         k, first = channels[0]
         title = f"Rows left out in turn: {number(first.scale * float(looked.folds.mean[k]))} {first.shown} RMS"
         yield fold(title, said, table(head, lines, "Error of rows left out"))
-    placed = known_scale(outcome.measurements) is not None
+    placed = known_scale_sigma(outcome.measurements) is not None
     if looked.influence is not None and len(looked.influence.rows) and placed:
         yield _influence(outcome, looked.influence)
 
@@ -111,15 +112,17 @@ def _influence(outcome: Outcome, influence: Influence) -> Markup:
     own = f"the target is known to {number(1e3 * influence.sigma, 2)} mm (1σ, three axes)"
     what = "Each row is left out, all others are fitted: how far does the predicted target move, RMS over all rows? "
     if count:
-        title = f"{counted(count, 'row')} {'moves' if count == 1 else 'move'} the target by more than {DECIDES:g}σ"
+        title = (
+            f"{plural(count, 'row')} {'moves' if count == 1 else 'move'} the target by more than {DECIDING_SHIFT:g}σ"
+        )
         said = tag("p", f"{what}{largest}; {own}. Measure near these again.", class_="look")
     else:
-        title = f"No single row moves the target by more than {DECIDES:g}σ"
+        title = f"No single row moves the target by more than {DECIDING_SHIFT:g}σ"
         said = tag("p", f"{what}{largest}; {own}.")
     m = outcome.measurements
     train = np.flatnonzero(m.train)
     lines = []
-    for i in range(min(MOST_ROWS, len(influence.rows))):
+    for i in range(min(MOST_INFLUENTIAL_ROWS, len(influence.rows))):
         k = int(train[influence.rows[i]])
         shift, share = (
             1e3 * float(influence.shift[i]),
@@ -133,9 +136,9 @@ def _influence(outcome: Outcome, influence: Influence) -> Markup:
     return fold(title, said, table(head, lines, "The rows that move the target most"))
 
 
-def known(outcome: Outcome) -> Iterator[Content]:
+def combinations_section(outcome: Outcome) -> Iterator[Content]:
     """Combinations of constants from the best known to the worst, and minimal sets."""
-    constants = None if outcome.second_look is None else outcome.second_look.known
+    constants = None if outcome.second_look is None else outcome.second_look.identifiability
     if constants is None:
         return
     robot = outcome.robot
@@ -145,11 +148,12 @@ def known(outcome: Outcome) -> Iterator[Content]:
         _combinations(outcome, constants),
     )
     yield fold(
-        f"A minimal identifiable set of {counted(len(constants.names), 'constant')}", list(_minimal(outcome, constants))
+        f"A minimal identifiable set of {plural(len(constants.names), 'constant')}",
+        list(_minimal(outcome, constants)),
     )
 
 
-def _combinations(outcome: Outcome, constants: Known) -> Markup:
+def _combinations(outcome: Outcome, constants: Identifiability) -> Markup:
     """The two ends of the list of combinations."""
     every = constants.combinations
     shown = range(len(every))
@@ -172,7 +176,7 @@ def _sigma(of: Combination) -> str:
     return f"{number(1e3 * of.std, 2)} {unit}"
 
 
-def _minimal(outcome: Outcome, constants: Known) -> Iterator[Content]:
+def _minimal(outcome: Outcome, constants: Identifiability) -> Iterator[Content]:
     """A minimal identifiable set, and which constants could stay nominal."""
     robot = outcome.robot
     named = ", ".join(constant_in_words(name, robot) for name in constants.names)

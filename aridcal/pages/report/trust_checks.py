@@ -8,23 +8,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 
-from aridcal.jobs.calibrate.instrument_results import known_scale
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma
 from aridcal.jobs.calibrate.key_figures import (
     LEAST_HELD_OUT,
     OVERFIT_RATIO,
     QUESTIONABLE_OUTLIERS,
-    another_day,
     every_held_out_row,
     final_halves,
     generalisation,
     narrow_joints,
     over_time,
     sigma_and_error,
+    verification_agreement,
 )
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.parts import division_in_words, p_of_halves
-from aridcal.pages.drawing.words import kept_in_words, scale_in_words
-from aridcal.system.wording import counted, number
+from aridcal.pages.drawing.words import scale_in_words, tolerance_in_words
+from aridcal.system.wording import number
 
 MOST_NAMES = 3
 
@@ -44,13 +44,13 @@ def held_out_rows(outcome: Outcome) -> Checks:
     if over_time(outcome):
         yield True, f"{over_time(outcome).capitalize()}."
     if 0 < held_out < LEAST_HELD_OUT:
-        yield False, f"Checked on {counted(held_out, 'held-out row')} only."
+        yield False, f"Checked on {plural(held_out, 'held-out row')} only."
 
 
 def outliers(outcome: Outcome) -> Checks:
     """A sound setup loses a row in a thousand: more of them are no accident."""
     flagged, rows = int(outcome.outlier.sum()), len(outcome.measurements)
-    yield flagged <= QUESTIONABLE_OUTLIERS * rows, f"{counted(flagged, 'outlier')} in {counted(rows, 'row')}."
+    yield flagged <= QUESTIONABLE_OUTLIERS * rows, f"{plural(flagged, 'outlier')} in {plural(rows, 'row')}."
 
 
 def refused_rows(outcome: Outcome) -> Checks:
@@ -58,7 +58,7 @@ def refused_rows(outcome: Outcome) -> Checks:
     refused = len(outcome.measurements.origin.refused)
     read = len(outcome.measurements) + refused
     if refused:
-        yield refused <= QUESTIONABLE_OUTLIERS * read, f"{refused:,} of {counted(read, 'row')} could not be used."
+        yield refused <= QUESTIONABLE_OUTLIERS * read, f"{refused:,} of {plural(read, 'row')} could not be used."
 
 
 def minimum(outcome: Outcome) -> Checks:
@@ -94,13 +94,13 @@ def halves(outcome: Outcome) -> Checks:
 
 def bounds(outcome: Outcome) -> Checks:
     """What the region keeps within matters more than the error of single rows."""
-    yield from kept_in_words(outcome, asked=False)
+    yield from tolerance_in_words(outcome, asked=False)
 
 
 def scale(outcome: Outcome) -> Checks:
     """Rows without a known length agree as well for a robot of any size."""
     for sentence in scale_in_words(outcome):
-        yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
+        yield known_scale_sigma(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
 
 
 def target(outcome: Outcome) -> Checks:
@@ -116,7 +116,7 @@ def target(outcome: Outcome) -> Checks:
 
 def other_day(outcome: Outcome) -> Checks:
     """Rows of one day do not show what changes from day to day."""
-    verified = another_day(outcome)
+    verified = verification_agreement(outcome)
     if verified is not None:
         yield verified
 

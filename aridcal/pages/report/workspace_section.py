@@ -21,7 +21,7 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
     if certainty is None:
         return
     lines = [_line("the joints' whole range", certainty.anywhere), _line(certainty.title, certainty.region)]
-    if not any(part.told.any() for part in (certainty.anywhere, certainty.region)):
+    if not any(part.observable.any() for part in (certainty.anywhere, certainty.region)):
         yield tag("p", "No reading tells where the target is: a part of what moves it is seen by no instrument.")
         return
     head = [
@@ -39,7 +39,7 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
         "the model lacks there, nobody knows.",
     )
     shown = table(head, lines, "Uncertainty of the target over the workspace")
-    sure = certainty.anywhere.sigma[certainty.anywhere.told]
+    sure = certainty.anywhere.sigma[certainty.anywhere.observable]
     median = f": median {number(1e3 * float(np.median(sure)))} mm" if len(sure) else ""
     yield fold(f"1σ of the target over the workspace{median}", shown, figures(_slices(certainty)), said)
     parts = list(_parts_of_bounds(certainty))
@@ -49,11 +49,11 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
 
 def _parts_of_bounds(certainty: Certainty) -> Iterator[Markup]:
     """What each bound of the first screen consists of: the calibration's uncertainty, and what held-out rows leave beyond."""
-    for part in certainty.kept:
+    for part in certainty.tolerances:
         if not part.rows or np.isnan(part.calibration):
             continue
         unit = "mrad" if part.of == "rotation" else "mm"
-        sure, rest = (f"{number(1e3 * size)} {unit}" for size in (part.calibration, part.beyond))
+        sure, rest = (f"{number(1e3 * size)} {unit}" for size in (part.calibration, part.excess))
         yield tag(
             "p",
             f"{part.of.capitalize()}: the calibration's own uncertainty is {sure} RMS. {part.judges.capitalize()} leave "
@@ -64,10 +64,10 @@ def _parts_of_bounds(certainty: Certainty) -> Iterator[Markup]:
 
 def _line(title: str, part: Workspace) -> list[Content]:
     """Statistics of the configurations where the target is known."""
-    sigma = 1e3 * part.sigma[part.told]
+    sigma = 1e3 * part.sigma[part.observable]
     if not len(sigma):
         return [title, "not known", "", "", "", ""]
-    worst = int(np.argmax(np.where(part.told, part.sigma, -1.0)))
+    worst = int(np.argmax(np.where(part.observable, part.sigma, -1.0)))
     where = ", ".join(f"{value:.2f}" for value in part.places[worst])
     shown = (np.median(sigma), np.percentile(sigma, 95), sigma.max())
     return [title, *(number(float(value)) for value in shown), where, f"{100 * part.measured.mean():.0f} %"]
@@ -76,7 +76,11 @@ def _line(title: str, part: Workspace) -> list[Content]:
 def _slices(certainty: Certainty) -> list[tuple[Content, Markup]]:
     """A picture of each slice."""
     drawn: list[tuple[Content, Markup]] = []
-    parts = [(cut, cut.workspace.select(cut.workspace.told)) for cut in certainty.slices if cut.workspace.told.any()]
+    parts = [
+        (cut, cut.workspace.select(cut.workspace.observable))
+        for cut in certainty.slices
+        if cut.workspace.observable.any()
+    ]
     if not parts:
         return drawn
     colors = color_steps(1e3 * np.concatenate([part.sigma for _, part in parts]))

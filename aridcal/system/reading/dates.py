@@ -8,15 +8,15 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-ORDERS = ("ymd", "dmy", "mdy")
+DATE_ORDERS = ("ymd", "dmy", "mdy")
 """Orders in which day, month and year may stand."""
 
 MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 """Where a month is a word, no order is needed."""
 
-NUMBERS = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})\.?")
+DATE_NUMBERS = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})\.?")
 COMPACT = re.compile(r"(\d{4})(\d{2})(\d{2})(?=[T _]|$)")
-WORDS = re.compile(
+DATE_WITH_WORDS = re.compile(
     r"(?:(\d{1,2})[-. ]+([A-Za-z]{3})[a-z]*[-., ]+(\d{4})|([A-Za-z]{3})[a-z]*[-. ]+(\d{1,2}),?[- ]+(\d{4}))"
 )
 CLOCK = re.compile(
@@ -63,12 +63,12 @@ def seconds(cell: str, order: str) -> float | None:
 
 def orders(cells: Sequence[str]) -> tuple[str, ...]:
     """Orders in which every one of some cells is a date; several where nothing tells."""
-    return tuple(order for order in ORDERS if all(seconds(cell, order) is not None for cell in cells))
+    return tuple(order for order in DATE_ORDERS if all(seconds(cell, order) is not None for cell in cells))
 
 
 def has_date(cell: str) -> bool:
     """True of a date, false of a time of day alone."""
-    return any(_date(cell.strip(), order)[0] is not None for order in ORDERS)
+    return any(_date(cell.strip(), order)[0] is not None for order in DATE_ORDERS)
 
 
 def unrolled(clock: np.ndarray, of_day: bool) -> np.ndarray | None:
@@ -100,7 +100,7 @@ def unrolled(clock: np.ndarray, of_day: bool) -> np.ndarray | None:
     return None if nights else clock
 
 
-def of_the_day(clock: np.ndarray, low: float, high: float) -> np.ndarray:
+def times_of_day(clock: np.ndarray, low: float, high: float) -> np.ndarray:
     """Times of day, shape (N,), as those between two others count that pass midnight."""
     after = (clock >= 0.0) & (clock < low) & (clock + DAY <= high)
     return np.where((low < DAY <= high < low + DAY) & after, clock + DAY, clock)
@@ -110,7 +110,7 @@ def _date(text: str, order: str) -> tuple[float | None, str]:
     """Seconds at the beginning of a date, and what follows it."""
     if (match := COMPACT.match(text)) is not None:
         year, month, day = match.groups()
-    elif (match := NUMBERS.match(text)) is not None:
+    elif (match := DATE_NUMBERS.match(text)) is not None:
         parts = (match[1], match[3], match[4])
         if len(parts[0]) == 4:
             order = "ymd"
@@ -118,7 +118,7 @@ def _date(text: str, order: str) -> tuple[float | None, str]:
             return None, text
         where = {letter: part for letter, part in zip(order, parts, strict=True)}
         year, month, day = where["y"], where["m"], where["d"]
-    elif (match := WORDS.match(text)) is not None:
+    elif (match := DATE_WITH_WORDS.match(text)) is not None:
         word = (match[2] or match[4]).lower()
         if word not in MONTHS:
             return None, text

@@ -15,13 +15,13 @@ GROUPS = ("", ".", ",", "'", " ")
 LIKE_A_NUMBER = r"^[-+]?[\d.,' ]*\d[\d.,' ]*([eE][-+]?\d+)?$"
 """Digits with any marks between them."""
 
-SAME = {"\u2212": "-", "\u00a0": " ", "\u202f": " ", "\u2009": " ", "\u2019": "'"}
+LOOKALIKE_CHARACTERS = {"\u2212": "-", "\u00a0": " ", "\u202f": " ", "\u2009": " ", "\u2019": "'"}
 """Characters that look like the usual one: minus, blanks that do not break or are thin, an apostrophe."""
 
 NO_NUMBER = "'"
 """Put before what looks like a number and is not written as the file's numbers are, so that nobody takes it for one."""
 
-SEVERAL = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+NUMBERS_IN_LIST = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 """Numbers in a cell that holds several."""
 
 
@@ -45,7 +45,7 @@ def as_numbers(column: pa.ChunkedArray, dialect: Dialect) -> pa.ChunkedArray:
         The same text where it is no number. What is one in another dialect alone, ``1.5`` among decimal commas, is made none.
     """
     text = pc.utf8_trim_whitespace(column)
-    for odd, usual in SAME.items():
+    for odd, usual in LOOKALIKE_CHARACTERS.items():
         text = pc.replace_substring(text, odd, usual)
     number = pc.match_substring_regex(text, pattern(dialect))
     plain = pc.replace_substring(text, dialect.thousands, "") if dialect.thousands else text
@@ -56,8 +56,8 @@ def as_numbers(column: pa.ChunkedArray, dialect: Dialect) -> pa.ChunkedArray:
     return pc.if_else(number, plain, words)
 
 
-def several(cell: str, dialect: Dialect) -> list[str]:
+def numbers_in_list(cell: str, dialect: Dialect) -> list[str]:
     """The numbers in a cell that holds a list, with points."""
     if dialect.decimal != ".":
         cell = cell.replace(dialect.decimal, ".")
-    return SEVERAL.findall(cell)
+    return NUMBERS_IN_LIST.findall(cell)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aridcal.system.errors import AridcalError, printable, shortened
-from aridcal.system.reading.user_names import LONGEST_NAME, why
+from aridcal.system.reading.user_names import LONGEST_NAME, reason_of
 
 MEGA = 1e6
 
@@ -34,7 +34,7 @@ class Limit:
 URDF = Limit(20, "urdf_mb")
 """Text alone, without meshes: that of a humanoid with hands takes 0.3 MB."""
 
-TABLE = Limit(500, "table_mb")
+TABLE_LIMIT = Limit(500, "table_mb")
 """A million rows of 24 numbers with all their digits; read, it takes some three times as much memory."""
 
 IMAGE = Limit(100, "image_mb")
@@ -49,7 +49,7 @@ CALIBRATION = Limit(50)
 RESULT = Limit(500)
 """Pages and figures of a result folder, meshes included."""
 
-KINDS = (
+SPECIAL_FILES = (
     (stat.S_ISFIFO, "a pipe"),
     (stat.S_ISSOCK, "a socket"),
     (stat.S_ISCHR, "a device"),
@@ -79,7 +79,7 @@ def read_file(path: Path, error: type[AridcalError], limit: Limit) -> bytes:
     except FileNotFoundError:
         raise error(f"{name}: there is no such file; check its name") from None
     except (OSError, ValueError) as problem:
-        raise error(f"{name}: cannot be read: {why(problem)}; check the file and who may read it") from None
+        raise error(f"{name}: cannot be read: {reason_of(problem)}; check the file and who may read it") from None
     if len(content) > status.st_size:
         raise error(f"{name}: grew while it was read: wait until it is complete")
     if not content or content.isspace():
@@ -95,7 +95,7 @@ def _check_regular(status: os.stat_result, name: str, error: type[AridcalError],
     if stat.S_ISDIR(status.st_mode):
         raise error(f"{name}: is a folder, not a file; name a file in it")
     if not stat.S_ISREG(status.st_mode):
-        kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "no regular file")
+        kind = next((kind for is_kind, kind in SPECIAL_FILES if is_kind(status.st_mode)), "no regular file")
         raise error(f"{name}: is {kind}; only regular files are read: save its content as a file")
     if status.st_size > limit.megabytes * MEGA:
         size = status.st_size / MEGA

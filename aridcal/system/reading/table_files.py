@@ -22,7 +22,7 @@ from aridcal.system.reading.user_names import check_name
 FIRST_LINE = 2
 
 # What a header is not made of.
-NUMBER = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
+NUMBER_CELL = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
 
 # Columns that pandas adds to a parquet file for the index of a DataFrame.
 PANDAS_INDEX = re.compile(r"__index_level_\d+__")
@@ -44,7 +44,7 @@ BYTES_AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True)
-class Broken:
+class BrokenRow:
     """A row that does not have as many cells as the header.
 
     Attributes:
@@ -71,7 +71,7 @@ class FileCells:
 
     cells: pa.Table
     line: np.ndarray
-    broken: tuple[Broken, ...] = ()
+    broken: tuple[BrokenRow, ...] = ()
     left_out: tuple[str, ...] = ()
 
 
@@ -88,7 +88,7 @@ def check_header(names: list[str], path: Path) -> None:
     """
     if not any(names):
         raise MeasurementError(f"{path}: line 1 is empty; it should name the columns")
-    if all(NUMBER.fullmatch(name) for name in names):
+    if all(NUMBER_CELL.fullmatch(name) for name in names):
         raise MeasurementError(f"{path}: line 1 holds numbers; it should name the columns")
     _check_columns(names, path)
 
@@ -214,10 +214,10 @@ def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
     if not re.search(rb"\n\s*\S", text):
         check_header(header, path)
         raise MeasurementError(f"{path}: {NO_ROWS}")
-    return below(text, header, path, limit)
+    return read_below_header(text, header, path, limit)
 
 
-def below(text: bytes, header: list[str], path: Path, limit: Limit, separator: str = ",") -> FileCells:
+def read_below_header(text: bytes, header: list[str], path: Path, limit: Limit, separator: str = ",") -> FileCells:
     """Read the rows below the first line as text cells.
 
     Args:
@@ -254,7 +254,7 @@ def below(text: bytes, header: list[str], path: Path, limit: Limit, separator: s
         )
     why = f"cells in a row of {len(header)} columns"
     return FileCells(
-        cells, line, tuple(Broken(row.number, shortened(row.text), f"{row.actual_columns} {why}") for row in broken)
+        cells, line, tuple(BrokenRow(row.number, shortened(row.text), f"{row.actual_columns} {why}") for row in broken)
     )
 
 

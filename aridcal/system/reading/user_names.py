@@ -12,7 +12,7 @@ LONGEST_NAME = 500
 """Characters of the name of a joint, a link, a column or a label: any that a person gives is shorter, and so are messages."""
 
 
-def why(problem: Exception) -> str:
+def reason_of(problem: Exception) -> str:
     """What the operating system says against a name or a file."""
     return getattr(problem, "strerror", None) or str(problem)
 
@@ -56,7 +56,7 @@ def check_path(path: Path, error: type[AridcalError]) -> None:
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         return
     except (OSError, ValueError) as problem:
-        raise error(f"{name}: cannot be the name of a file: {why(problem)}. Give another one") from None
+        raise error(f"{name}: cannot be the name of a file: {reason_of(problem)}. Give another one") from None
 
 
 def path_argument(text: str) -> Path:

@@ -12,11 +12,11 @@ from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import IO, Any
 
-from aridcal.system.errors import MeasurementError, listed, nearest, printable, shortened
+from aridcal.system.errors import MeasurementError, name_list, nearest, printable, shortened
 from aridcal.system.reading.regular_files import MEGA, Limit
 from aridcal.system.reading.table_files import MOST_COLUMNS
 
-ENDINGS = (".xlsx", ".xlsm")
+WORKBOOK_ENDINGS = (".xlsx", ".xlsm")
 
 DECLARED = re.compile(rb"<\s*!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 """What no workbook has, and what makes a few bytes of XML gigabytes."""
@@ -25,7 +25,7 @@ ENCODING = re.compile(rb"<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", re.IGNORECA
 ENCODINGS = frozenset({b"utf-8", b"utf-16", b"us-ascii", b"ascii"})
 """Encodings of the parts of workbooks (ECMA-376 part 2): in others, angle brackets and declarations hide."""
 
-ELEMENT = re.compile(rb"<([^\s<>/?!][^\s<>/]*)")
+XML_ELEMENT = re.compile(rb"<([^\s<>/?!][^\s<>/]*)")
 """An element's beginning and its name."""
 
 CELL_ELEMENTS = frozenset({b"row", b"c", b"v", b"f", b"is", b"t", b"si", b"r", b"rPr", b"rPh", b"phoneticPr"})
@@ -53,7 +53,7 @@ UNPACKED = 4.0
 MOST_EMPTY = 20_000
 """Empty rows, one after the other: those before a row with an absurd number are made up while a sheet is read."""
 
-BYTES_OF_A_CELL = 64
+BYTES_OF_A_SHEET_CELL = 64
 """Bytes of a cell while the sheet is turned into text."""
 
 
@@ -85,7 +85,7 @@ def as_csv(content: bytes, path: Path, limit: Limit, sheet: str, decimal: str) -
         raise MeasurementError(f"{path}: has no sheet {shortened(sheet)!r}{nearest(sheet, names)}; see `table.sheet`")
     if not sheet and len(names) != 1:
         raise MeasurementError(
-            f"{path}: has the sheets {listed(names)}; say which under measurements: `table: {{sheet: …}}`"
+            f"{path}: has the sheets {name_list(names)}; say which under measurements: `table: {{sheet: …}}`"
         )
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -172,7 +172,7 @@ class _Bounded(zipfile.ZipFile):
         """
         if DECLARED.search(content.replace(b"\0", b"")):
             raise MeasurementError(f"{self._path}: declares entities in its XML, which no workbook needs; save it anew")
-        names = Counter(ELEMENT.findall(content))
+        names = Counter(XML_ELEMENT.findall(content))
         every = names.total()
         of_cells = sum(n for name, n in names.items() if name.replace(b"\0", b"").rpartition(b":")[2] in CELL_ELEMENTS)
         self._of_cells += 0 if whole else of_cells
@@ -185,7 +185,7 @@ class _Bounded(zipfile.ZipFile):
             )
         most = self._limit.megabytes * MEGA
         if (
-            BYTES_OF_A_CELL * self._of_cells > READINGS_OF_A_SHEET * ELEMENTS_OF_A_CELL * most
+            BYTES_OF_A_SHEET_CELL * self._of_cells > READINGS_OF_A_SHEET * ELEMENTS_OF_A_CELL * most
             or self._bytes > READINGS_OF_A_SHEET * UNPACKED * most
         ):
             raise MeasurementError(
@@ -235,7 +235,7 @@ def _rows(sheet: Any, path: Path, limit: Limit) -> Iterator[tuple[Any, ...]]:
                 f"{path}: has {filled:,} columns, at most {MOST_COLUMNS:,} are read; split the table"
             )
         cells += len(row)
-        if BYTES_OF_A_CELL * cells > limit.megabytes * MEGA:
+        if BYTES_OF_A_SHEET_CELL * cells > limit.megabytes * MEGA:
             raise MeasurementError(f"{path}: has more cells than {limit.megabytes:g} MB hold; {limit.remedy}")
         yield row[:filled]
 

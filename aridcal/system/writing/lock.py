@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from aridcal.system.errors import BusyError
-from aridcal.system.writing.signals import undisturbed
+from aridcal.system.writing.signals import defer_signals
 
 _mine: ContextVar[frozenset[Path]] = ContextVar("_mine", default=frozenset())
 """Locks that this thread holds."""
@@ -23,7 +23,7 @@ def is_mine(lock: Path) -> bool:
 
 
 @contextmanager
-def held(lock: Path, path: Path) -> Iterator[None]:
+def hold_lock(lock: Path, path: Path) -> Iterator[None]:
     """Hold a lock (flock(2)) until the block ends; its file is gone afterwards.
 
     Args:
@@ -41,7 +41,7 @@ def held(lock: Path, path: Path) -> Iterator[None]:
         yield
     finally:
         _mine.reset(token)
-        with undisturbed():
+        with defer_signals():
             with suppress(OSError):
                 lock.unlink()  # while it is held: whoever opened it before looks again
             fcntl.flock(handle, fcntl.LOCK_UN)  # of children, too, that have the handle from a fork

@@ -37,7 +37,7 @@ def handling(handlers: dict[signal.Signals, Handler]) -> Iterator[None]:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def defer_signals() -> Iterator[None]:
     """Let a few operations on files finish: a signal that comes meanwhile counts when they have."""
     waiting: list[int] = []
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from aridcal.system.errors import OutputError
-from aridcal.system.writing.lock import held, is_mine
-from aridcal.system.writing.signals import undisturbed
+from aridcal.system.writing.lock import hold_lock, is_mine
+from aridcal.system.writing.signals import defer_signals
 
 OURS, LOCK = ".aridcal-", "lock"
 """In the names of what is beside an output only while it is written: ``.results.aridcal-lock``, ``.results.aridcal-1f0c9a2b``."""
@@ -44,7 +44,7 @@ AT_FDCWD, RENAME_EXCHANGE = -100, 2
 @contextmanager
 def staged(target: Path, home: Path, path: Path) -> Iterator[Path]:
     """A folder to build in, on the file system of the target; when the block ends, it is settled and gone."""
-    stage = home / f"{hidden(target)}{secrets.token_hex(4)}"
+    stage = home / f"{hidden_prefix(target)}{secrets.token_hex(4)}"
     try:
         stage.mkdir()
         yield stage
@@ -54,7 +54,7 @@ def staged(target: Path, home: Path, path: Path) -> Iterator[Path]:
             raise _cannot_write(path, error) from error
         raise
     finally:
-        with undisturbed(), suppress(OSError):  # what cannot be settled now is left to the next run
+        with defer_signals(), suppress(OSError):  # what cannot be settled now is left to the next run
             _settle(stage)
 
 
@@ -173,7 +173,7 @@ def clear_up(folder: Path, current: Path) -> None:
         lock = folder / f"{stem}{OURS}{LOCK}"
         if lock != current and is_mine(lock):
             continue
-        with suppress(OutputError, OSError), nullcontext() if lock == current else held(lock, lock):
+        with suppress(OutputError, OSError), nullcontext() if lock == current else hold_lock(lock, lock):
             for name in entries:
                 if name.startswith(f"{stem}{OURS}") and name != lock.name:
                     _settle(folder / name)
@@ -221,7 +221,7 @@ def home_of(target: Path) -> Path:
     return target.parent if os.access(target.parent, os.W_OK | os.X_OK) or not target.is_dir() else target
 
 
-def hidden(target: Path) -> str:
+def hidden_prefix(target: Path) -> str:
     """How the names of all that is beside an output begin."""
     return f".{target.name[:NAME_SHOWN]}{OURS}"
 
@@ -261,7 +261,7 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def named(path: Path) -> Iterator[None]:
+def errors_named(path: Path) -> Iterator[None]:
     """An error of the system inside the block becomes one that names the output."""
     try:
         yield

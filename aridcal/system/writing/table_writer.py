@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet
 
-ENDINGS = (".csv", ".parquet")
+WRITTEN_ENDINGS = (".csv", ".parquet")
 
 QUOTED = frozenset(',"\r\n')
 """Characters of a cell that csv puts into quotes."""
 
 
-ROWS_AT_ONCE = 10_000
+FORMATTED_AT_ONCE = 10_000
 """Rows that are made to text together: some megabytes."""
 
 
@@ -60,9 +60,9 @@ def write_csv(table: Mapping[str, np.ndarray], path: Path, digits: int) -> None:
     """Write columns of numbers and words, floats with so many digits."""
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(map(_quoted, table)) + "\n")
-        for start in range(0, len(next(iter(table.values()))), ROWS_AT_ONCE):
+        for start in range(0, len(next(iter(table.values()))), FORMATTED_AT_ONCE):
             file.write(
-                csv_lines({name: column[start : start + ROWS_AT_ONCE] for name, column in table.items()}, digits)
+                csv_lines({name: column[start : start + FORMATTED_AT_ONCE] for name, column in table.items()}, digits)
             )
 
 

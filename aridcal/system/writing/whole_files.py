@@ -11,27 +11,27 @@ from pathlib import Path
 from typing import Literal
 
 from aridcal.system.errors import OutputError
-from aridcal.system.writing.lock import held, is_mine
-from aridcal.system.writing.signals import undisturbed
+from aridcal.system.writing.lock import hold_lock, is_mine
+from aridcal.system.writing.signals import defer_signals
 from aridcal.system.writing.staging import (
     LOCK,
     NEW,
     can_be_swapped,
     check_names,
     clear_up,
-    hidden,
+    errors_named,
+    hidden_prefix,
     home_of,
     keep_mode,
-    named,
     put_in_place,
     staged,
     sync,
 )
 
-Kind = Literal["folder", "file"]
+OutputKind = Literal["folder", "file"]
 
 
-def check_writable(path: Path, kind: Kind | None = None) -> None:
+def check_writable(path: Path, kind: OutputKind | None = None) -> None:
     """Make sure that results can be written, before any work is done for them.
 
     Args:
@@ -41,7 +41,7 @@ def check_writable(path: Path, kind: Kind | None = None) -> None:
     Raises:
         OutputError: naming the path and what is in the way.
     """
-    with named(path):
+    with errors_named(path):
         if kind is not None and path.exists() and path.is_dir() != (kind == "folder"):
             raise OutputError(
                 f"{path}: is a {'file' if kind == 'folder' else 'folder'}, not a {kind}; give another name"
@@ -62,14 +62,14 @@ def check_home(path: Path) -> None:
     Raises:
         OutputError: naming the folder that is missing.
     """
-    with named(path):
+    with errors_named(path):
         missing = not path.parent.exists()
     if missing:
         raise OutputError(f"{path}: cannot be written: there is no folder {path.parent}; make it, or mend the path")
 
 
 @contextmanager
-def claimed(path: Path, kind: Kind, names: Collection[str] = (), folders: Collection[str] = ()) -> Iterator[None]:
+def claimed(path: Path, kind: OutputKind, names: Collection[str] = (), folders: Collection[str] = ()) -> Iterator[None]:
     """Take an output for this process until the block ends, before any work is done for it.
 
     What killed runs have left beside it is settled and cleared away.
@@ -86,15 +86,15 @@ def claimed(path: Path, kind: Kind, names: Collection[str] = (), folders: Collec
     check_writable(path, kind)
     parents: list[Path] = []
     with ExitStack() as ends:
-        with named(path):
+        with errors_named(path):
             target = _place(path)
             parents += [parent for parent in (target.parent, *target.parent.parents) if not parent.exists()]
             ends.callback(_remove_empty, parents)
             target.parent.mkdir(parents=True, exist_ok=True)
-            with undisturbed():
-                lock = home_of(target) / f"{hidden(target)}{LOCK}"
+            with defer_signals():
+                lock = home_of(target) / f"{hidden_prefix(target)}{LOCK}"
                 if not is_mine(lock):
-                    ends.enter_context(held(lock, path))
+                    ends.enter_context(hold_lock(lock, path))
                     clear_up(home_of(target), lock)
                     clear_up(target, lock)
             if kind == "folder":
@@ -135,7 +135,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
         with staged(target, target.parent, path) as stage:
             built = stage / target.name
             yield built
-            with named(path):
+            with errors_named(path):
                 if target.exists():
                     keep_mode(target, built)
                 sync(built)
@@ -195,7 +195,7 @@ def _built(target: Path, path: Path, swap: bool, replaces: Collection[str], firs
     with staged(target, home_of(target) if swap else target, path) as stage:
         (stage / NEW).mkdir()
         yield stage / NEW
-        with named(path):
+        with errors_named(path):
             put_in_place(stage, target, replaces, swap, first)
 
 

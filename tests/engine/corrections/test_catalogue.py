@@ -15,9 +15,9 @@ import robots
 import yaml
 from repository import ROOT
 
-from aridcal.engine.corrections.basis import FORMS, Basis, evaluate, evaluated
+from aridcal.engine.corrections.basis import FORMS, Basis, evaluate, values_of_bases
 from aridcal.engine.corrections.catalogue import (
-    KINDS,
+    EFFECT_KINDS,
     candidates,
     declared,
     is_of_head,
@@ -25,13 +25,13 @@ from aridcal.engine.corrections.catalogue import (
     usable_columns,
 )
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, Observed
-from aridcal.engine.corrections.labels import STATION, label_columns
+from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows
+from aridcal.engine.corrections.labels import LABEL_COLUMN, label_columns
 from aridcal.engine.corrections.loads import Payload, Surroundings, covariate_table
 from aridcal.engine.corrections.sights import TARGET, Sights, sight_table
 from aridcal.engine.instruments.camera_sonar import Head
 from aridcal.engine.model.model import Model
-from aridcal.files.campaign import EffectDeclaration, Job
+from aridcal.files.campaign import EffectDeclaration, JobSettings
 from aridcal.files.yaml_file import parse_settings
 from aridcal.identify import main as identify
 from aridcal.jobs.head1992.detections import head_things
@@ -74,7 +74,7 @@ CONTRACT: dict[str, tuple[set[str], tuple[str, ...]]] = {
 }
 BY = {"regional": "joint_1", "residual_field": "place"}
 OF_THINGS = ("tracker_scale", "distance_scale", "range_error", "wire_sag", "flatness")
-OF_ARM = [kind for kind in KINDS if not is_of_head(kind) and kind not in OF_THINGS]
+OF_ARM = [kind for kind in EFFECT_KINDS if not is_of_head(kind) and kind not in OF_THINGS]
 HELD = {
     ("tracker", "laser"): ("scale", "square"),
     ("anchor", "rail"): ("scale",),
@@ -88,7 +88,7 @@ LABELS = ("station[a]", "station[b]")
 DOCS = ROOT / "docs"
 
 
-def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
+def observed() -> tuple[ObservedRows, Model, np.ndarray, dict[str, np.ndarray]]:
     """A chain with a rail and every column that an effect may want."""
     rng = np.random.default_rng(7)
     robot = robots.random_robot(11, "PRCR")
@@ -101,33 +101,33 @@ def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
     table = covariate_table(robot, q, columns, around, np.zeros(N, dtype=int), {".gravity_", ".payload_"})
     table |= sight_table(robot, q, around.sights, around.gravity, np.zeros(N, dtype=int))
     frames = ((None, robots.random_placement(rng)),)
-    return Observed(robot, table, MEASURED, labels=LABELS), Model(robot, (), frames, frames, around), q, columns
+    return ObservedRows(robot, table, MEASURED, labels=LABELS), Model(robot, (), frames, frames, around), q, columns
 
 
 def effects(kind: str) -> list[Effect]:
     held = HELD if kind in OF_THINGS else HEAD_HELD if is_of_head(kind) else {}
-    found = candidates(replace(observed()[0], held=held, referred=dict.fromkeys(held, N)), (kind,))
+    found = candidates(replace(observed()[0], stated_components=held, referred=dict.fromkeys(held, N)), (kind,))
     assert found
     return found
 
 
 def test_every_kind_of_the_table_has_a_contract() -> None:
-    assert list(KINDS) == list(CONTRACT)
-    assert all(kind.name == name for name, kind in KINDS.items())
+    assert list(EFFECT_KINDS) == list(CONTRACT)
+    assert all(kind.name == name for name, kind in EFFECT_KINDS.items())
 
 
 def test_what_is_held_at_a_thing_may_be_wrong_and_what_is_identified_may_not() -> None:
     rows = observed()[0]
     kinds = ("lens_distortion", "focal_length", "principal_point", "distance_scale")
     assert not candidates(rows, kinds)
-    found = {(e.kind, e.where, e.motion) for e in candidates(replace(rows, held=HELD), kinds)}
+    found = {(e.kind, e.where, e.motion) for e in candidates(replace(rows, stated_components=HELD), kinds)}
     assert {("focal_length", "eye", ("fx", "fy")), ("distance_scale", "rail", ("scale",))} < found
     held = {("camera", "eye"): ("k1", "k2")}
-    assert {e.motion for e in candidates(replace(rows, held=held), kinds)} == {("k1",), ("k1", "k2")}
-    assert all(not e.covariates for e in candidates(replace(rows, held=HELD), kinds))
+    assert {e.motion for e in candidates(replace(rows, stated_components=held), kinds)} == {("k1",), ("k1", "k2")}
+    assert all(not e.covariates for e in candidates(replace(rows, stated_components=HELD), kinds))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EFFECT_KINDS)
 def test_a_kind_moves_and_depends_on_what_the_formats_say(kind: str) -> None:
     motions, endings = CONTRACT[kind]
     names = observed()[0].robot.names
@@ -138,12 +138,12 @@ def test_a_kind_moves_and_depends_on_what_the_formats_say(kind: str) -> None:
             if endings:
                 assert name == effect.where or any(e and name in (e, effect.where + e) for e in endings)
             else:
-                assert name in (*names, *MEASURED, *((STATION,) if effect.by == STATION else ()))
+                assert name in (*names, *MEASURED, *((LABEL_COLUMN,) if effect.by == LABEL_COLUMN else ()))
     assert {e.by for e in effects(kind)} <= {
         "direction",
         "load",
         BY.get(kind),
-        STATION if kind == "regional" else None,
+        LABEL_COLUMN if kind == "regional" else None,
         None,
     }
     if kind == "joint_coupling":
@@ -169,7 +169,7 @@ def test_a_kind_s_columns_are_finite_differences_of_the_exact_poses(kind: str) -
             np.testing.assert_allclose(J[:, :, k], seen, atol=1e-7 * max(1.0, np.abs(J).max()))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EFFECT_KINDS)
 def test_a_kind_has_names_that_are_unique_and_no_two_effects_that_are_one(kind: str) -> None:
     found = effects(kind)
     for effect in found:
@@ -189,16 +189,16 @@ def test_a_kind_can_be_declared_where_the_search_would_look_for_it(kind: str) ->
         assert (found.kind, found.where, found.with_) == (kind, place, with_)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EFFECT_KINDS)
 def test_a_kind_has_the_bases_and_the_example_that_its_row_says(kind: str) -> None:
-    row = KINDS[kind]
+    row = EFFECT_KINDS[kind]
     used = {c.basis.form for e in effects(kind) for c in e.coefficients}
     # pairs are made from what the residual hints at; a constant in space must be declared
     assert used == set(row.bases) - ({"ball"} if kind == "regional" else {"bump2"})
     assert used <= {"1", *FORMS}
     head = "measurements: {kind: camera_sonar, head: head.yaml}\n" if is_of_head(kind) else ""
     text = f"format: 1\nrobot: {{urdf: a.urdf, tip: b}}\n{head}effects:\n  - {row.example}\n"
-    (declaration,) = parse_settings(text, Path("campaign.yaml"), Job).effects
+    (declaration,) = parse_settings(text, Path("campaign.yaml"), JobSettings).effects
     assert declaration.kind == kind
 
 
@@ -216,17 +216,17 @@ def test_a_column_with_a_hole_or_without_change_bars_the_effects_that_need_it(sp
         assert spoilt not in good
         assert any(spoilt in b.what for b in barred)
         table = {k: v for k, v in where.table.items() if k != spoilt}
-        assert candidates(Observed(where.robot, table, good), (kind,)) == []
+        assert candidates(ObservedRows(where.robot, table, good), (kind,)) == []
 
 
-def _toy(rows: Observed) -> Iterator[Effect]:
+def _toy(rows: ObservedRows) -> Iterator[Effect]:
     """A joint's error in proportion to the cube of the column ``toy``."""
     if "toy" in rows.measured:
         for j in rows.robot.joints:
             yield Effect("toy", j.name, (Coefficient(j.name, "axis", Basis("power", ("toy",), (0.0, 1.0, 3.0))),))
 
 
-TOY = Kind(
+TOY = EffectKind(
     "toy",
     where="a joint",
     words="the joint follows the cube of a toy",
@@ -244,7 +244,7 @@ TRUTH = {"kind": "toy", "where": "elbow_joint", "coefficients": [2e-3]}
 def test_a_new_kind_is_one_row_and_goes_through_the_whole_loop(
     stated: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known = {kind: KINDS[kind] for kind in ("joint_gain", "joint_compliance")}
+    known = {kind: EFFECT_KINDS[kind] for kind in ("joint_gain", "joint_compliance")}
     scenario = {
         "format": 1,
         "robot": {"urdf": str(robots.URDF / "ur10.urdf"), "base": "base_link", "tip": "tool0"},
@@ -256,7 +256,7 @@ def test_a_new_kind_is_one_row_and_goes_through_the_whole_loop(
     file, made, out = tmp_path / "scenario.yaml", tmp_path / "made", tmp_path / "out"
     file.write_text(yaml.safe_dump(scenario), "utf-8")
     assert simulate([str(file), "-o", str(made)]) == 2  # there is no such kind
-    monkeypatch.setitem(KINDS, "toy", TOY)
+    monkeypatch.setitem(EFFECT_KINDS, "toy", TOY)
     assert simulate([str(file), "-o", str(made)]) == 0
     assert identify([str(made / "campaign.yaml"), "--out", str(out)]) == 0
 
@@ -282,5 +282,5 @@ def test_bases_evaluated_together_are_those_one_by_one() -> None:
              for form, (of, numbers) in counts.items() for k in range(4)]  # fmt: skip
     bases.append(Basis("label", ("nobody",)))  # counts as absent
     bases = [bases[k] for k in rng.permutation(len(bases))]
-    found = evaluated(bases, table)
+    found = values_of_bases(bases, table)
     np.testing.assert_allclose(found, np.column_stack([evaluate(b, table) for b in bases]), rtol=1e-14, atol=1e-14)

@@ -17,7 +17,7 @@ from aridcal.calibration import Calibration
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.labels import MOST_LABELS, label_columns
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.robot.kinematics import tip_frames
@@ -218,8 +218,8 @@ def test_labels_that_mean_nothing_cost_nothing() -> None:
     for seed in range(4):
         rows = rows_of(labelled(seed, 100, 8), np.zeros(100), seed)
         found, stated = (calibrated(rows, **asked).diagnosed for asked in (SEARCHED, QUIET | {"effects": [ZERO]}))
-        assert not found.found.state.active
-        if stated.found.state.active:
+        assert not found.stepwise.state.active
+        if stated.stepwise.state.active:
             taken += 1
             own = [k for k, c in enumerate(stated.fit.model.coefficients) if c.basis.form == "label"]
             assert np.ptp(stated.fit.theta[own]) < 5e-5  # half the noise
@@ -237,7 +237,7 @@ def test_a_label_of_three_rows_is_believed_as_far_as_they_go(size: float) -> Non
     zeros = size * np.array([1.0, -1.0, 0.7, -0.7, 1.0, -1.0])
     rows = rows_of(label, zeros[np.array([int(word[1:]) for word in label])], 3)
     arm = calibrated(rows, effects=[ZERO], **QUIET)
-    (active,) = arm.diagnosed.found.state.active
+    (active,) = arm.diagnosed.stepwise.state.active
     fit = arm.diagnosed.fit
     own = [k for k, c in enumerate(fit.model.coefficients) if c.basis.form == "label"]
     assert [fit.model.coefficients[k].basis.of[0] for k in own] == [f"station[s{k}]" for k in range(6)]
@@ -262,15 +262,15 @@ def test_what_the_frame_of_each_station_does_is_said_and_not_guessed(per: str) -
     rows = rows_of(label, off, 4, per, "x")
     of_frame = {"kind": "regional", "where": per, "by": "station"}
     apart = calibrated(rows, per, effects=[of_frame], **QUIET).diagnosed
-    assert not apart.found.state.active
+    assert not apart.stepwise.state.active
     (said,) = [b for b in apart.barred if "declared" in b.what]
     assert said.what == f"regional at {per} (station), which is declared,"
     assert said.why.startswith("it is confounded with what is fitted without it")
     searched = calibrated(rows, per, **SEARCHED).diagnosed
-    assert not searched.found.state.active
+    assert not searched.stepwise.state.active
     assert f"regional at {per} (station), moving x y z," in [b.what for b in searched.barred]
     one = calibrated(rows, effects=[of_frame], **QUIET).diagnosed  # one frame for all: it is told
-    assert [a.effect.where for a in one.found.state.active] == [per]
+    assert [a.effect.where for a in one.stepwise.state.active] == [per]
     assert not [b for b in one.barred if "declared" in b.what]
 
 
@@ -278,7 +278,7 @@ def test_a_zero_beside_frames_of_stations_is_found_in_the_joint() -> None:
     label = labelled(6, 150, 4)
     off = 1e-3 * np.array([1.0, -1.0, 0.5, -0.5])[np.array([int(word[1:]) for word in label])]
     found = calibrated(rows_of(label, off, 6), "world_base", **SEARCHED).diagnosed
-    assert [(a.effect.where, a.effect.motion) for a in found.found.state.active] == [("joint_3", ("axis",))]
+    assert [(a.effect.where, a.effect.motion) for a in found.stepwise.state.active] == [("joint_3", ("axis",))]
     tied = {b.what for b in found.barred if b.why.startswith("it is confounded")}
     assert "regional at joint_1 (station), moving axis," in tied  # the rail moves as the base does
 
@@ -291,7 +291,7 @@ def test_a_cause_that_goes_with_the_stations_is_told_from_what_is_of_theirs_alon
     warm = np.array([20.0, 21.0, 23.0, 26.0, 30.0, 35.0])
     zeros = 1e-4 * (warm - 26.0) if caused else 1e-3 * np.array([0.6, -1.0, 0.9, -0.6, -0.8, 0.9])
     rows = replace(rows_of(label, zeros[number], 7), covariates={"temperature": warm[number]})
-    found = calibrated(rows, diagnosis={"candidates": ("thermal", "regional")}).diagnosed.found
+    found = calibrated(rows, diagnosis={"candidates": ("thermal", "regional")}).diagnosed.stepwise
     assert [(a.effect.kind, a.effect.where) for a in found.state.active] == [
         ("thermal" if caused else "regional", "joint_3")
     ]

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, direction
 from aridcal.engine.corrections.loads import Payload, Surroundings, bearing_components, covariate_table, needs
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot, with_limbs
 from aridcal.jobs.apply.joint_commands import compensate

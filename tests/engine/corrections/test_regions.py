@@ -18,17 +18,17 @@ from aridcal.calibration import Calibration
 from aridcal.engine.corrections.basis import FORMS, Basis, wendland
 from aridcal.engine.corrections.catalogue import declared
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import Surroundings, covariate_table
 from aridcal.engine.corrections.regional_kind import IN_SPACE, ball_field, far_from_nodes, spread_out, widths
 from aridcal.engine.corrections.sights import TARGET, Sights, sight_table
 from aridcal.engine.corrections.smooth import Kernel, samples_root, smooth_precision
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.engine.search.loop import calibrated_arm, fit_constants
-from aridcal.files.campaign import EffectDeclaration, Job
+from aridcal.files.campaign import EffectDeclaration, JobSettings
 from aridcal.files.yaml_file import load_settings, parse_settings
 from aridcal.jobs.apply.target_poses import predict, read_query
 from aridcal.jobs.calibrate.controllers import controller_exports, write_controllers
@@ -213,10 +213,12 @@ def test_a_place_where_targets_are_off_is_found_and_corrected_there_and_nowhere_
 
 
 def test_what_nobody_asks_for_is_not_sought() -> None:
-    every = Job.model_validate({"format": 1, "robot": {"urdf": Path("a.urdf"), "tip": "b"}}).diagnosis.candidates
+    every = JobSettings.model_validate(
+        {"format": 1, "robot": {"urdf": Path("a.urdf"), "tip": "b"}}
+    ).diagnosis.candidates
     assert not {"regional", "residual_field"} & set(every)
     text = "format: 1\nrobot: {urdf: a.urdf, tip: b}\ndiagnosis: {candidates: [all, regional, joint_gain]}\n"
-    asked = parse_settings(text, Path("campaign.yaml"), Job).diagnosis.candidates
+    asked = parse_settings(text, Path("campaign.yaml"), JobSettings).diagnosis.candidates
     assert set(asked) == {*every, "regional"}
     assert len(asked) == len(set(asked))
 
@@ -248,7 +250,7 @@ def test_a_field_whose_targets_are_not_in_the_file_is_refused(off: tuple[Outcome
         SavedModel.load(tmp_path / "calibration.yaml")
 
 
-def rows_in_space(n: int = 120) -> tuple[Observed, Model, np.ndarray]:
+def rows_in_space(n: int = 120) -> tuple[ObservedRows, Model, np.ndarray]:
     rng = np.random.default_rng(4)
     robot = robots.random_robot(11, "PRCR")
     q = robots.readings(robot, n, rng)
@@ -256,7 +258,7 @@ def rows_in_space(n: int = 120) -> tuple[Observed, Model, np.ndarray]:
     frames = ((None, robots.random_placement(rng)),)
     table = covariate_table(robot, q, {}, around, np.zeros(n, dtype=int), set())
     table |= sight_table(robot, q, around.sights, around.gravity, np.zeros(n, dtype=int))
-    return Observed(robot, table, ()), Model(robot, (), frames, frames, around), q
+    return ObservedRows(robot, table, ()), Model(robot, (), frames, frames, around), q
 
 
 def test_a_field_is_the_gaussian_process_given_its_values_at_the_nodes() -> None:
@@ -271,7 +273,7 @@ def test_a_field_is_the_gaussian_process_given_its_values_at_the_nodes() -> None
 
     phi = np.column_stack([FORMS["ball"].value(list(places.T), b.numbers) for b in bases])
     np.testing.assert_allclose(phi, k(places, nodes), atol=1e-12)
-    where = Observed(
+    where = ObservedRows(
         robots.arid(), dict(zip((*robots.arid().names, *TARGET), [*places.T, places[:, 0], *places.T], strict=True)), ()
     )
     effect = declared(where, EffectDeclaration(kind="residual_field", where="world_base"), "campaign.yaml")
@@ -367,7 +369,7 @@ def test_nodes_are_spread_over_the_places() -> None:
 def test_a_declaration_that_makes_no_sense_says_so(text: str, said: str) -> None:
     campaign = f"format: 1\nrobot: {{urdf: a.urdf, tip: b}}\neffects: [{text}]\n"
     with pytest.raises(CampaignError, match=r"campaign.yaml, line 3") as found:
-        parse_settings(campaign, Path("campaign.yaml"), Job)
+        parse_settings(campaign, Path("campaign.yaml"), JobSettings)
     assert said in str(found.value)
 
 
@@ -395,7 +397,7 @@ def test_what_does_not_hold_between_the_places_measured_is_not_called_a_constant
     asked = robots.campaign("pose", parameters={"set": "doty"}, diagnosis={"candidates": ("regional",)})
     found = calibrated_arm(
         asked.question, robot, rows, (), fit_constants(asked.question, robot, rows, ()), SILENT
-    ).diagnosed.found
+    ).diagnosed.stepwise
     active = [a.effect.where for a in found.state.active]
     assert active == ([] if jumps else ["joint_2"])
     if jumps:

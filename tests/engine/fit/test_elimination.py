@@ -11,17 +11,17 @@ from scipy.linalg import subspace_angles
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.fit.elimination import known
+from aridcal.engine.fit.elimination import prior_rows
 from aridcal.engine.fit.problem import Problem, problem
-from aridcal.engine.fit.residual import eliminated, linearise, taking_off
+from aridcal.engine.fit.residual import linearise, reduced_stretches, thing_projector
 from aridcal.engine.instruments.channels import LENGTH, TARGET_POSITION
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import Block, Instruments, Things, Tie
 from aridcal.engine.model.model import Model
 from aridcal.engine.rows.dataset import Dataset, dataset
 
-POINT = KINDS["point"].roles[0]
-ANCHOR = KINDS["distance"].roles[0]
+POINT = MEASUREMENT_KINDS["point"].roles[0]
+ANCHOR = MEASUREMENT_KINDS["distance"].roles[0]
 SIGMA = np.array([2e-3, 1e-3])
 
 
@@ -69,11 +69,11 @@ def dense(asked: Problem, theta: np.ndarray, weight: np.ndarray) -> tuple[np.nda
     scale = np.sqrt(weight)[:, None] / np.array([SIGMA[0]] * 3 + [SIGMA[1]])
     columns = np.concatenate([J, wide.reshape(*r.shape, -1)], axis=2) * scale[:, :, None]
     A, b = columns.reshape(r.size, -1), (r * scale).ravel()
-    facts = known(asked.groups, asked.instruments, asked.states)
+    facts = prior_rows(asked.groups, asked.instruments, asked.states)
     more = np.zeros((len(facts.group), A.shape[1]))
     for k, g in enumerate(facts.group):
         more[k, len(theta) + g * width : len(theta) + (g + 1) * width] = facts.by[k]
-    return np.vstack([A, more]), np.concatenate([b, facts.left]), len(theta)
+    return np.vstack([A, more]), np.concatenate([b, facts.misfit]), len(theta)
 
 
 @pytest.mark.parametrize("ties", [False, True])
@@ -126,7 +126,7 @@ def test_columns_are_taken_off_after_their_bases() -> None:
     model, data, rng = mixed(False)
     theta, weight = np.zeros(9), np.ones(len(data))
     asked = problem(model, data).agreeing(theta)
-    off = taking_off(asked, theta, weight, SIGMA)
+    off = thing_projector(asked, theta, weight, SIGMA)
     assert off is not None
     J = asked.pieces(theta).J
     phi = rng.normal(size=len(data))
@@ -149,7 +149,7 @@ def test_rows_less_their_things_are_orthogonal_to_them() -> None:
     asked = problem(model, data).agreeing(theta)
     A, _, K = dense(asked, theta, weight)
     scale = np.array([SIGMA[0]] * 3 + [SIGMA[1]])
-    for block, r, J in eliminated(asked, theta, weight, SIGMA):
+    for block, r, J in reduced_stretches(asked, theta, weight, SIGMA):
         rows = np.column_stack([(r / scale).ravel(), (J / scale[:, None]).reshape(r.size, -1)])
         part = A[: r.size, K:]
         assert np.abs(part.T @ rows).max() < 1e-6 * np.abs(part.T @ part).max()
@@ -185,7 +185,7 @@ def test_what_no_point_tells_is_redundant_only_where_rows_agree() -> None:
     one = np.ones(len(asked))
 
     def seen(question: Problem) -> float:
-        (_, _, J) = next(eliminated(question, np.zeros(1), one, np.array([1e-4])))
+        (_, _, J) = next(reduced_stretches(question, np.zeros(1), one, np.array([1e-4])))
         return float(np.linalg.norm(J))
 
     assert seen(replace(asked, measured=replace(asked.measured, agreed=asked.rows))) > 1e-3

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit import identifiable as identifiable_module
 from aridcal.engine.fit.constants import constants
-from aridcal.engine.fit.identifiable import CARRIES, TOLERANCE, WORST, Subset, apart, identifiable
+from aridcal.engine.fit.identifiable import CARRIES, REDUNDANT_SHARE, REDUNDANT_SIGMA, Subset, apart, identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.residual import triangle
 from aridcal.engine.model.model import Model
@@ -54,7 +54,7 @@ def test_constants_have_rank_4R_plus_2P_plus_6(name: str, kind: str) -> None:
     model, found = subset_of(robot, q, kind)
     turning = sum(j.kind == "revolute" for j in robot.joints)
     expected = 4 * turning + 2 * (len(robot.joints) - turning) + (6 if kind == "pose" else 3)
-    assert len(found.kept) == expected
+    assert len(found.independent) == expected
     J = whole_jacobian(model, q, kind)
     length = np.linalg.norm(J, axis=0)
     J = J[:, length > 0] / length[length > 0]
@@ -65,7 +65,7 @@ def test_constants_have_rank_4R_plus_2P_plus_6(name: str, kind: str) -> None:
 def test_arid_has_20() -> None:
     robot = robots.arid()
     q = robots.readings(robot, 200, np.random.default_rng(0))
-    assert len(subset_of(robot, q, "pose")[1].kept) == 20
+    assert len(subset_of(robot, q, "pose")[1].independent) == 20
 
 
 @pytest.mark.parametrize("kind", ["pose", "position"])
@@ -75,10 +75,10 @@ def test_redundant_parameters_are_named(name: str, kind: str) -> None:
     robot = ROBOTS[name]()
     q = robots.readings(robot, 200, np.random.default_rng(0))
     model, found = subset_of(robot, q, kind)
-    assert sorted([*found.kept, *found.redundant]) == list(range(len(model.coefficients)))
+    assert sorted([*found.independent, *found.redundant]) == list(range(len(model.coefficients)))
     J = whole_jacobian(model, q, kind)
     for k, partners in found.redundant.items():
-        assert set(partners) <= set(found.kept)
+        assert set(partners) <= set(found.independent)
         if not partners:
             assert np.abs(J[:, k]).max() < 1e-12
             continue
@@ -90,7 +90,7 @@ def test_frames_are_kept_before_the_joints_next_to_them() -> None:
     robot = robots.arid()
     q = robots.readings(robot, 200, np.random.default_rng(0))
     model, found = subset_of(robot, q, "pose")
-    kept = {model.names[k] for k in found.kept}
+    kept = {model.names[k] for k in found.independent}
     frames = [c.name for c in robots.FRAMES]
     assert kept.issuperset(frames[:6])
     assert len(kept.intersection(frames)) == 11  # all axes are parallel: one shift along them, at either end
@@ -113,7 +113,7 @@ def test_a_joint_that_never_moves_takes_its_parameters_with_it() -> None:
     q = robots.readings(robot, 200, np.random.default_rng(0))
     q[:, 3] = 0.7
     model, found = subset_of(robot, q, "pose")
-    assert len(found.kept) == 4 * 5 + 6
+    assert len(found.independent) == 4 * 5 + 6
     dropped = {model.names[k] for k in found.redundant if found.redundant[k]}
     assert {f"wrist_1_joint.{c}" for c in ("x", "y", "z", "roll", "pitch", "yaw")} & dropped
 
@@ -121,7 +121,7 @@ def test_a_joint_that_never_moves_takes_its_parameters_with_it() -> None:
 def test_one_configuration_tells_six_numbers() -> None:
     robot = robots.ur10()
     _, found = subset_of(robot, np.full((10, 6), 0.3), "pose")
-    assert len(found.kept) == 6
+    assert len(found.independent) == 6
 
 
 def test_a_tool_that_never_turns_leaves_its_translation_open() -> None:
@@ -158,16 +158,16 @@ def test_of_dependent_columns_the_later_in_order_go() -> None:
     R = upper([a, b, 2 * a - b, c])
     assert identifiable(R, [0, 1, 2, 3]).redundant == {2: (0, 1)}
     found = identifiable(R, [3, 2, 1, 0])
-    assert found.kept == (3, 2, 1)
+    assert found.independent == (3, 2, 1)
     assert found.redundant == {0: (2, 1)} or found.redundant == {0: (1, 2)}
 
 
 @pytest.mark.parametrize(("reach", "count"), [(0.019, 2), (0.021, 1)])
 def test_a_direction_that_the_noise_moves_by_more_than_20_mm_is_redundant(reach: float, count: int) -> None:
     """1 sigma of 19 mm is kept, 21 mm is not: as a column of its own, and as the combination of two."""
-    assert len(identifiable(np.diag([1e4, 1 / reach]), [0, 1]).kept) == count
+    assert len(identifiable(np.diag([1e4, 1 / reach]), [0, 1]).independent) == count
     turn = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2)
-    assert len(identifiable(np.diag([1e4, 1 / reach]) @ turn, [0, 1]).kept) == count
+    assert len(identifiable(np.diag([1e4, 1 / reach]) @ turn, [0, 1]).independent) == count
 
 
 def test_a_combination_of_many_that_moves_nothing_is_found() -> None:
@@ -179,8 +179,8 @@ def test_a_combination_of_many_that_moves_nothing_is_found() -> None:
     assert 5e3 * s ** (n - 1) * 0.02 > 1.0
     found = identifiable(R, range(n))
     assert np.linalg.svd(R, compute_uv=False)[-1] * 0.02 < 1.0
-    assert len(found.kept) < n
-    assert np.linalg.svd(R[:, found.kept], compute_uv=False)[-1] * 0.02 >= 1.0
+    assert len(found.independent) < n
+    assert np.linalg.svd(R[:, found.independent], compute_uv=False)[-1] * 0.02 >= 1.0
     assert np.isfinite(found.condition)
 
 
@@ -202,14 +202,14 @@ def test_what_is_no_sum_of_the_first_columns_is_found_and_only_that() -> None:
     R = np.linalg.qr(np.hstack([first, sums, new, faint]), mode="r")
     assert apart(R, 6).tolist() == [False, False, False, True, True, False]
     # What is none beside the first columns is none beside more of them.
-    kept = identifiable(R, range(R.shape[1])).kept
+    kept = identifiable(R, range(R.shape[1])).independent
     assert set(kept) == {0, 1, 2, 3, 4, 5, 9, 10}
 
 
 @pytest.mark.parametrize("many", [2, 100])
 def test_weak_combinations_are_those_of_singular_values(many: int, monkeypatch: pytest.MonkeyPatch):
     """Twenty columns of which some combinations move almost nothing: taken out one by one, all else tried again, with SVDs."""
-    monkeypatch.setattr(identifiable_module, "MANY", many)
+    monkeypatch.setattr(identifiable_module, "MANY_COLUMNS", many)
     for seed in range(10):
         rng = np.random.default_rng(seed)
         J = 1e4 * rng.standard_normal((60, 20))
@@ -218,15 +218,15 @@ def test_weak_combinations_are_those_of_singular_values(many: int, monkeypatch: 
         R = np.linalg.qr(J, mode="r")
         order = rng.permutation(20).tolist()
         length = np.linalg.norm(R, axis=0)
-        kept = identifiable_module._extended(R, length, [], order, TOLERANCE)
+        kept = identifiable_module._extended(R, length, [], order, REDUNDANT_SHARE)
         weak: list[int] = []
         while True:
             _, singular, Vt = np.linalg.svd(R[:, kept])
-            if singular[-1] * WORST >= 1.0:
+            if singular[-1] * REDUNDANT_SIGMA >= 1.0:
                 break
             part = np.abs(Vt[-1])
             weak.append(kept.pop(int(np.flatnonzero(part > CARRIES * part.max())[-1])))
             rest = [k for k in order if k not in weak]
-            kept = identifiable_module._extended(R, length, kept, rest, TOLERANCE)
+            kept = identifiable_module._extended(R, length, kept, rest, REDUNDANT_SHARE)
         assert weak
-        assert identifiable(R, order).kept == tuple(k for k in order if k in kept)
+        assert identifiable(R, order).independent == tuple(k for k in order if k in kept)

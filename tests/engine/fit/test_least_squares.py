@@ -14,14 +14,14 @@ from scipy.spatial.transform import Rotation
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit import least_squares as least_squares_module
 from aridcal.engine.fit.constants import constants
-from aridcal.engine.fit.flags import OUTLIER, SUSPECT, flagged, robust_sigma
+from aridcal.engine.fit.flags import OUTLIER, SUSPECT_LIMIT, outlier_rows, robust_sigma
 from aridcal.engine.fit.least_squares import fit, fit_identifiable, minimise, thin
 from aridcal.engine.fit.normal_equations import Prior
-from aridcal.engine.fit.problem import BLOCK, Problem, problem
+from aridcal.engine.fit.problem import ROWS_PER_BLOCK, Problem, problem
 from aridcal.engine.fit.residual import linearise, triangle
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.engine.instruments.pose import residuals
-from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import NotIdentifiable
@@ -149,8 +149,8 @@ def test_a_stale_row_is_flagged_sooner() -> None:
     r[0], r[1] = 0.0, 0.0
     r[0, 0] = r[1, 0] = 4.5 * sigma[0]
     limit = np.full(400, OUTLIER)
-    limit[0] = SUSPECT
-    assert flagged(r, POSE, limit)[:2].tolist() == [True, False]
+    limit[0] = SUSPECT_LIMIT
+    assert outlier_rows(r, POSE, limit)[:2].tolist() == [True, False]
 
 
 def test_predicted_covariance_matches_repeated_fits() -> None:
@@ -310,7 +310,7 @@ def test_residual_is_measured_minus_predicted_in_world_axes() -> None:
     np.testing.assert_allclose(Rotation.from_rotvec(r[:, 3:]).as_matrix() @ R, M, atol=1e-12)
 
 
-@pytest.mark.parametrize("count", [BLOCK + 30, BLOCK + 40, 2 * BLOCK + 1])
+@pytest.mark.parametrize("count", [ROWS_PER_BLOCK + 30, ROWS_PER_BLOCK + 40, 2 * ROWS_PER_BLOCK + 1])
 def test_blocks_of_rows_add_up(count: int) -> None:
     """More rows than one block: sums, triangle and residuals are those of the whole Jacobian."""
     rng = np.random.default_rng(12)
@@ -343,7 +343,7 @@ def test_noise_found_robustly_is_that_of_the_bulk() -> None:
 def test_thinning_is_reproducible_keeps_the_order_and_leaves_no_frame_out() -> None:
     tip = np.zeros(1000, dtype=int)
     tip[[3, 500, 900]] = 1
-    rows = Rows(np.zeros((1000, 1)), np.empty((1000, 0)), np.zeros(1000, dtype=int), tip)
+    rows = ModelRows(np.zeros((1000, 1)), np.empty((1000, 0)), np.zeros(1000, dtype=int), tip)
     some = thin(rows, 100)
     assert len(set(some.tolist())) == len(some) == 102
     assert np.array_equal(some, np.sort(some))
@@ -356,7 +356,7 @@ def test_many_rows_are_fitted_to_the_same_minimum_as_few(monkeypatch: pytest.Mon
     model, _, data = small(900, np.random.default_rng(8), 1e-4)
     data.position[7] += 0.02
     usual = fit(asked(model, data, None, None))
-    monkeypatch.setattr(least_squares_module, "AHEAD", 200)
+    monkeypatch.setattr(least_squares_module, "FIRST_FITTED_ROWS", 200)
     ahead = fit(asked(model, data, None, None))
     # A step of a thousandth of a sigma may be left out.
     np.testing.assert_allclose(ahead.theta, usual.theta, atol=1e-3 * usual.std.min())

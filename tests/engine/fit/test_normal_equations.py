@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import block_diag, pinvh
 
 from aridcal.engine.fit.normal_equations import (
-    Combined,
+    CombinedEquations,
     NormalEquations,
     Prior,
     accumulate,
@@ -180,7 +180,7 @@ def test_a_step_in_the_priors_combinations_is_that_of_the_stacked_columns_with_t
     B, root = block_diag(*basis), rng.standard_normal((7, 7))
     prior = Prior(rng.standard_normal(7), root.T @ root, basis)
     theta = rng.standard_normal(7)
-    told = Combined(accumulate(A, r), prior)
+    told = CombinedEquations(accumulate(A, r), prior)
     step = told.of_coefficients(solve(told.information(SIGMA), told.pull(SIGMA, theta), damping)[:, None])[:, 0]
 
     rows = np.vstack([stacked(A), root]) @ B

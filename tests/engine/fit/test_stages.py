@@ -16,7 +16,7 @@ from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.question import Question
 from aridcal.engine.fit.stages import Geometry, fit_geometry, recentred
 from aridcal.engine.rows.dataset import RowNoise, dataset, weighed
-from aridcal.jobs.calibrate.closed_form import closed_form_starts
+from aridcal.jobs.calibrate.doty_answer import closed_form_starts
 from aridcal.system.errors import AridcalError, MeasurementError
 
 ALL = ("x", "y", "z", "roll", "pitch", "yaw")

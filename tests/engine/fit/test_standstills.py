@@ -12,9 +12,17 @@ from scipy.linalg import block_diag
 
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.scatter import Scatter, place
-from aridcal.engine.fit.shared_readings import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
+from aridcal.engine.fit.shared_readings import (
+    MOST_CLUMP_UNKNOWNS,
+    MOST_STANDSTILL_ROWS,
+    clumps,
+    representative,
+    stack,
+    standstills,
+    with_things,
+)
 from aridcal.engine.fit.stages import fit_geometry
-from aridcal.engine.fit.variance_components import estimate, one_more
+from aridcal.engine.fit.variance_components import add_component, estimate
 from aridcal.engine.rows.dataset import Dataset, with_places
 
 RNG = np.random.default_rng(0)
@@ -116,7 +124,7 @@ def test_the_likelihood_with_unknown_things_is_that_of_dense_columns(tmp_path: P
             columns[i, :, g * U : (g + 1) * U] = pieces.B[i]
         for i, g in enumerate(known.group):
             facts[i, g * U : (g + 1) * U] = known.by[i]
-        left = known.left
+        left = known.misfit
         assert (name == "point") == (len(left) > 0)
     there = np.concatenate([columns.reshape(n * m, -1), facts])
     there = there[:, there.any(axis=0)]
@@ -151,7 +159,7 @@ def test_a_motion_that_rows_share_is_found_with_its_size_beside_unknown_markers(
         rng = np.random.default_rng(seed)
         y = 0.2 * rng.normal(size=there.shape) * there + 0.5 * root * rng.normal(size=(len(there), 1))
         drawn = replace(scatter, y=y)
-        more = one_more(drawn, estimate(drawn, np.array([0.04]), held), held)
+        more = add_component(drawn, estimate(drawn, np.array([0.04]), held), held)
         assert more is not None
         found.append((more[1].sigma, more[1].sigma_std))
     sigma, std = np.array(found).transpose(1, 0, 2)
@@ -165,14 +173,14 @@ def test_of_many_rows_whole_standstills_are_asked_and_few_markers(tmp_path: Path
     some = representative(question, every, 60)
     number = standstills(rows)
     assert question.groups is not None
-    assert 60 <= len(some) <= 60 + OF_ONE
+    assert 60 <= len(some) <= 60 + MOST_STANDSTILL_ROWS
     assert np.array_equal(np.sort(np.flatnonzero(np.isin(number, number[some]))), some)
     assert np.array_equal(some, representative(question, every, 60))
     # Twenty markers have 60 unknowns; of four times as many the most seen would stay.
     many = replace(question.groups, unknown=np.ones((len(question.groups.unknown), 12), dtype=bool))
     kept = representative(replace(question, groups=many), every, len(rows))
     groups = np.unique(question.groups.row[kept])
-    assert 12 * len(groups) == COLUMNS
+    assert 12 * len(groups) == MOST_CLUMP_UNKNOWNS
     seen = np.bincount(question.groups.row)
     assert seen[groups].min() >= np.delete(seen, groups).max()
 

@@ -11,13 +11,13 @@ from scipy.optimize import minimize
 from scipy.stats import kstest, multivariate_normal
 
 from aridcal.engine.fit import minorant
-from aridcal.engine.fit.scatter import Scatter, conditioned, derivatives, place, told_modes
+from aridcal.engine.fit.scatter import Scatter, derivatives, determined_modes, place, scatter_near
 from aridcal.engine.fit.variance_components import (
     Components,
-    asked_for,
+    add_component,
     boundary_chance,
     estimate,
-    one_more,
+    score_tests,
     settled,
 )
 
@@ -86,7 +86,7 @@ def test_without_a_prior_it_is_the_density_of_what_the_columns_cannot_reach() ->
 def whole(rows: Scatter) -> Components:
     """Every component that is asked for."""
     found = estimate(rows, np.ones(2), HELD)
-    while (more := one_more(rows, found, HELD)) is not None:
+    while (more := add_component(rows, found, HELD)) is not None:
         found = more[1]
     return settled(rows, found)
 
@@ -145,7 +145,7 @@ def test_in_single_precision_a_likelihood_is_what_it_is_in_double(far: float, wi
     """Far away, where single precision has no digits left, it is not asked for."""
     rng, start = np.random.default_rng(2), np.array([1.0, 0.1, 0.0, 0.0])
     rows = in_clumps(hard()) if with_things else hard()
-    near = conditioned(rows, start)
+    near = scatter_near(rows, start)
     assert near.near is not None and near.near.A.dtype == np.float32
     free = np.ones(4, dtype=bool)
     for _ in range(8):
@@ -164,7 +164,7 @@ def test_rows_of_wild_weights_are_looked_at_as_well_in_single_precision() -> Non
     """One row in ten has a million times the weight of the others, or a millionth."""
     rng = np.random.default_rng(3)
     rows = hard(weights=10.0 ** rng.choice([-3.0, 0.0, 3.0], 150, p=[0.05, 0.9, 0.05]))
-    near = conditioned(rows, np.array([1.0, 0.1, 0.0, 0.0]))
+    near = scatter_near(rows, np.array([1.0, 0.1, 0.0, 0.0]))
     variances = np.array([1.0, 0.1, 0.6, 0.05]) * np.exp(rng.uniform(-1.0, 1.0, (6, 4)))
     one, two = (np.array([place(s, v).log_likelihood for v in variances]) for s in (near, rows))
     # A combination of columns that is rounding beside such weights has a ridge: a constant.
@@ -174,7 +174,7 @@ def test_rows_of_wild_weights_are_looked_at_as_well_in_single_precision() -> Non
 def test_what_is_found_in_single_precision_is_what_is_found_in_double() -> None:
     for seed in range(5):
         rows = hard(seed)
-        one, two = whole(conditioned(rows, np.array([1.0, 1.0, 0.0, 0.0]))), whole(rows)
+        one, two = whole(scatter_near(rows, np.array([1.0, 1.0, 0.0, 0.0]))), whole(rows)
         assert np.array_equal(one.free, two.free)
         np.testing.assert_allclose(one.sigma, two.sigma, atol=1e-3 * two.sigma_std.max())
         np.testing.assert_allclose(one.sigma_std, two.sigma_std, rtol=1e-3)
@@ -187,7 +187,7 @@ def test_the_last_step_that_is_not_looked_at_ends_where_it_says() -> None:
         rows = scattered(scatter(60), np.array([1.0, 0.3, 0.8, 0.5]), seed)
         found = estimate(rows, np.array([0.3, 0.3]), HELD)
         told = [found]
-        while (more := one_more(rows, found, HELD)) is not None:
+        while (more := add_component(rows, found, HELD)) is not None:
             found = more[1]
             told.append(found)
         for one in told:
@@ -203,7 +203,7 @@ def test_the_last_step_that_is_not_looked_at_ends_where_it_says() -> None:
 def test_modes_of_which_nothing_is_told_change_no_likelihood_and_go() -> None:
     rng, rows = np.random.default_rng(4), scattered(scatter(30), np.array([1.0, 0.3, 0.8, 0.0]), 3)
     modes = np.append(rng.standard_normal((30, 4, 3)), 1e-3 * rng.standard_normal((30, 4, 5)), axis=2)
-    told = told_modes(modes, np.ones(4))
+    told = determined_modes(modes, np.ones(4))
     assert told.shape == (8, 3)
 
     def likelihood(columns: np.ndarray, variance: np.ndarray) -> float:
@@ -243,7 +243,7 @@ def test_clean_rows_name_no_component(long_tails: bool) -> None:
         rng = np.random.default_rng(seed)
         y = rng.standard_t(5, rows.y.shape) if long_tails else rng.standard_normal(rows.y.shape)
         clean = replace(rows, y=y)
-        named += one_more(clean, estimate(clean, np.ones(2), HELD), HELD) is not None
+        named += add_component(clean, estimate(clean, np.ones(2), HELD), HELD) is not None
     assert named <= 1
 
 
@@ -254,16 +254,16 @@ def test_a_wild_row_names_no_component() -> None:
     y[k] += 10.0 * np.linalg.eigh(rows.blocks[2, k])[1][:, -1]
     wild = replace(rows, y=y)
     found = estimate(wild, np.ones(2), HELD)
-    asked = asked_for(wild, found)
+    asked = score_tests(wild, found)
     assert asked.normal[2] > 4.0 > 2.0 > asked.plain[2]
-    assert one_more(wild, found, HELD) is None
+    assert add_component(wild, found, HELD) is None
 
 
 def test_scores_of_clean_rows_have_unit_spread() -> None:
     rows, scores = scatter(50), []
     for seed in range(100):
         clean = scattered(rows, np.array([1.0, 0.3, 0.0, 0.0]), seed)
-        scores.append(asked_for(clean, estimate(clean, np.ones(2), HELD)).normal[2:])
+        scores.append(score_tests(clean, estimate(clean, np.ones(2), HELD)).normal[2:])
     assert np.std(scores) == pytest.approx(1.0, abs=0.15)
     assert abs(np.mean(scores)) < 0.2
 
@@ -271,7 +271,7 @@ def test_scores_of_clean_rows_have_unit_spread() -> None:
 def test_a_component_that_others_imitate_asks_for_nothing() -> None:
     rows = scattered(scatter(60), np.array([1.0, 0.3, 0.9, 0.0]), 2)
     twin = replace(rows, blocks=np.array([*rows.blocks[:2], 0.5 * (rows.blocks[0] + rows.blocks[1]), rows.blocks[0]]))
-    asked = asked_for(twin, estimate(twin, np.ones(2), HELD))
+    asked = score_tests(twin, estimate(twin, np.ones(2), HELD))
     assert asked.normal[2:].tolist() == [0.0, 0.0]
 
 

@@ -8,7 +8,7 @@ from scipy.stats import chi
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.fit.flags import OUTLIER, QUANTILES, distance, flagged, robust_sigma, usual_norms
+from aridcal.engine.fit.flags import OUTLIER, QUANTILES, distance, outlier_rows, robust_sigma, usual_norms
 from aridcal.engine.fit.normal_equations import accumulate
 from aridcal.engine.instruments.channels import (
     TARGET_POSITION,
@@ -89,11 +89,11 @@ def test_robust_sigma_of_each_channel_is_that_of_its_bulk(channels: Channels) ->
 @every
 def test_a_row_far_off_in_any_channel_is_flagged_and_no_other(channels: Channels) -> None:
     r, limit = noise(channels, 400, 1), np.full(400, OUTLIER)
-    assert not flagged(r, channels, limit).any()
+    assert not outlier_rows(r, channels, limit).any()
     for k, part in enumerate(columns(channels)):
         r[k] = 0.0
         r[k, part.start] = 8.0 * sigmas(channels)[k]
-    assert set(np.flatnonzero(flagged(r, channels, limit))) == set(range(len(channels)))
+    assert set(np.flatnonzero(outlier_rows(r, channels, limit))) == set(range(len(channels)))
     np.testing.assert_allclose(distance(r, sigmas(channels), channels)[: len(channels)], 8.0, rtol=1e-12)
 
 

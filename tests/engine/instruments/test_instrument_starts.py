@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.instruments.descent import Place, View, descend, placed
-from aridcal.engine.instruments.kinds import KINDS as EVERY
+from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, descent_point
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS as EVERY
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.instruments.setup import Things
 from aridcal.engine.instruments.starts import aligned, starts
@@ -32,12 +32,12 @@ class Scene:
     things: dict[str, Things]
     target: np.ndarray
 
-    def begun(self, hint: np.ndarray | None = None, target_known: bool = False) -> list[Place]:
+    def begun(self, hint: np.ndarray | None = None, target_known: bool = False) -> list[DescentPoint]:
         hint = np.eye(4) if hint is None else hint
         asked = (self.R, self.p, self.observed, self.refers, self.things)
         return starts(KINDS[self.name], *asked, self.target if target_known else hint, target_known)
 
-    def misfit(self, start: Place) -> float:
+    def misfit(self, start: DescentPoint) -> float:
         """RMS of the residual's numbers."""
         R, p = self.R @ start.target[:3, :3], self.p + self.R @ start.target[:3, 3]
         states = [start.states[role.name][self.refers[:, j]] for j, role in enumerate(KINDS[self.name].roles)]
@@ -145,7 +145,7 @@ def pictures(seed: int, on_tip: bool, board: bool, shots: int = 15, cameras: int
     return Scene("pixels", R, p, observed, refers, true, unknown("pixels", true, free), np.eye(4))
 
 
-def wrong(made: Scene, start: Place) -> float:
+def wrong(made: Scene, start: DescentPoint) -> float:
     """Largest error of the target's translation or of a thing's state; planes may show either side."""
     errors = [] if made.name in ("pixels", "inclination") else [np.abs(start.target[:3, 3] - made.target[:3, 3]).max()]
     if made.name == "inclination":
@@ -183,8 +183,8 @@ def least(made: Scene) -> float:
     """RMS that is left from the truth on: no start should be worse."""
     kind = KINDS[made.name]
     free = {role.name: made.things[role.name].free for role in kind.roles}
-    view = View(kind, made.R, made.p, made.observed, made.refers, free, made.name != "pixels")
-    return float(np.sqrt(descend(view, placed(view, made.target, made.true), 60).cost))
+    view = StartView(kind, made.R, made.p, made.observed, made.refers, free, made.name != "pixels")
+    return float(np.sqrt(descend(view, descent_point(view, made.target, made.true), 60).cost))
 
 
 @pytest.mark.parametrize("name", ["point", "distance", "plane"])

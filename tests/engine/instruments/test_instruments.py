@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.instruments.kind import Kind, Role
-from aridcal.engine.instruments.kinds import KINDS as EVERY
+from aridcal.engine.instruments.kind import MeasurementKind, Role
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS as EVERY
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.instruments.pixels import UNSEEN_RESIDUAL
 from aridcal.engine.instruments.pose import turned_back
@@ -31,7 +31,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def states_of(kind: Kind, rng: np.random.Generator, n: int, on_tip: bool) -> list[np.ndarray]:
+def states_of(kind: MeasurementKind, rng: np.random.Generator, n: int, on_tip: bool) -> list[np.ndarray]:
     """Things around the arm, one for each row, in no special place."""
     made = []
     for role in kind.roles:

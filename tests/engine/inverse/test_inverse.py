@@ -12,7 +12,7 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.loads import Surroundings
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.inverse.one_pose import FINEST_NOISE, InverseKinematics
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, load_robot
 

@@ -7,13 +7,13 @@ import pytest
 import robots
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS, candidates
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.engine.corrections.effect_kind import Observed, bumps
+from aridcal.engine.corrections.effect_kind import ObservedRows, bumps
 from aridcal.engine.corrections.loads import Payload, Surroundings, bearing_components, covariate_table
 from aridcal.engine.corrections.sights import Sights
 from aridcal.engine.fit.constants import constants
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.system.errors import CovariateNotFound, MeasurementError
@@ -32,7 +32,7 @@ def every_effect(
     """All coefficients of the table of kinds."""
     wanted = {f"{name}.{load}" for name in robot.names for load in ("gravity_torque", "payload_torque")}
     table = covariate_table(robot, q, columns, around, np.zeros(len(q), dtype=int), wanted)
-    effects = candidates(Observed(robot, table, tuple(columns)), KINDS)
+    effects = candidates(ObservedRows(robot, table, tuple(columns)), EFFECT_KINDS)
     return tuple(dict.fromkeys(c for e in effects for c in e.coefficients))
 
 

@@ -12,14 +12,14 @@ import robots
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.noise import covariance_of_rows
 from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.problem import problem as ask
-from aridcal.engine.fit.residual import linearise, moved_by
+from aridcal.engine.fit.residual import linearise, scaled_columns
 from aridcal.engine.instruments.channels import columns
 from aridcal.engine.model.local import LEAST_HATS
 from aridcal.engine.model.model import Model
-from aridcal.engine.trust.coverage import Seen
+from aridcal.engine.trust.coverage import Coverage
 from aridcal.engine.trust.workspace import Knowledge, shifted, target_covariance
 
 COUNT = 45
@@ -90,7 +90,7 @@ def test_covariances_of_rows_are_those_of_all_columns(kind: str) -> None:
     tool = np.array([0.1, -0.2, 0.3])
     rows = question.rows[part]
     R, _, J = wide.model.jacobian(theta, rows)
-    known = carried(shifted(J, R @ tool), covariance)
+    known = covariance_of_rows(shifted(J, R @ tool), covariance)
     found = target_covariance(question.model, theta, covariance, rows, tool)
     np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-12 * np.abs(known).max())
 
@@ -108,7 +108,7 @@ def test_what_is_known_of_a_point_is_the_same_with_a_column_for_each() -> None:
     wide = replace(local)
     wide.__dict__["local"] = None
     assert local.local is not None
-    seen = Seen({}, {}, (np.inf, np.inf))
+    seen = Coverage({}, {}, (np.inf, np.inf))
     asked = question.data.readings[:120], np.arange(120), (0.1, -0.2, 0.3)
     found, known = (
         Knowledge(fit, own, follows, np.array([[4e-6, 1e-6], [1e-6, 9e-6]]), seen).over(question.data, *asked)
@@ -116,7 +116,7 @@ def test_what_is_known_of_a_point_is_the_same_with_a_column_for_each() -> None:
     )
     for name in ("places", "covariance", "turns", "told", "turns_told"):
         np.testing.assert_allclose(getattr(found, name), getattr(known, name), rtol=1e-9, atol=1e-16, err_msg=name)
-    assert known.told.any() or known.turns_told.any()
+    assert known.observable.any() or known.turns_told.any()
 
 
 def test_columns_of_the_last_coefficients_are_those_among_all() -> None:
@@ -125,7 +125,7 @@ def test_columns_of_the_last_coefficients_are_those_among_all() -> None:
     assert question.data.relative is not None
     for count in (1, 200, len(theta)):  # with no constant; with one between the hat functions; all
         known = J[:, :, len(theta) - count :] / question.data.relative[:, :, None]
-        np.testing.assert_allclose(moved_by(question, theta, count), known, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(scaled_columns(question, theta, count), known, rtol=1e-12, atol=1e-14)
 
 
 def test_few_hat_functions_and_those_of_stations_have_columns() -> None:

@@ -16,7 +16,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
 from aridcal.engine.corrections.loads import Surroundings
 from aridcal.engine.fit.constants import constants, stage_urdf
-from aridcal.engine.model.many_rows import BLOCK, LEAST_TOGETHER
+from aridcal.engine.model.many_rows import LEAST_TOGETHER, ROWS_PER_BLOCK
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.engine.robot.doty import doty_links, link_transform
@@ -104,7 +104,7 @@ def test_poses_of_many_rows_at_stations_are_those_of_each_station() -> None:
     at_each = tuple(Coefficient("world_base", c, station=name) for name in "ab" for c in ("x", "yaw"))
     model = Model(arm, (*at_each, *constants(arm, "full")), frames, ((None, robots.random_placement(rng)),))
     theta = rng.uniform(-0.1, 0.1, len(model.coefficients))
-    station = rng.choice(["a", "b"], 2 * BLOCK + 300)
+    station = rng.choice(["a", "b"], 2 * ROWS_PER_BLOCK + 300)
     rows = model.rows(robots.readings(arm, len(station), rng), station=station)
     R, p = model.poses(theta, rows)
     for name in "ab":

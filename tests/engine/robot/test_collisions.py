@@ -14,8 +14,8 @@ from aridcal.engine.robot.chain import Robot, load_robot, parse_robot
 from aridcal.engine.robot.collisions import bodies_of, touches
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import beforehand
-from aridcal.jobs.plan.pose_design import Asked, design
+from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
 
 LENGTHS, RADIUS = (0.5, 0.4, 0.4), 0.1
 
@@ -131,7 +131,7 @@ def test_no_planned_configuration_touches_anything(tmp_path: Path, monkeypatch: 
     )
     campaign = load_campaign(path)
     known = beforehand(campaign, load_robot(urdf, "tool0"))
-    plan = design(known, Asked(15))
+    plan = design(known, PlanRequest(15))
     assert not touches(known.robot, known.bodies.geometry, plan.readings).any()
     anywhere = draw_readings(known.robot, 100, np.random.default_rng(1))
     assert touches(known.robot, known.bodies.geometry, anywhere).any(axis=1).mean() > 0.1

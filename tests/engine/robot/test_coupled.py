@@ -15,14 +15,14 @@ import yaml
 
 from aridcal import compensate, identify, predict
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS, candidates
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import Surroundings, covariate_table
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
-from aridcal.engine.robot.drive import Stated
+from aridcal.engine.robot.drive import StatedJoints
 from aridcal.engine.robot.kinematics import carried_bodies, tip_frames, tree_frames
 from aridcal.jobs.calibrate import pipeline
 from aridcal.jobs.calibrate.saved_model import SavedModel
@@ -32,13 +32,13 @@ from aridcal.system.errors import AridcalError
 WAIST, KNUCKLE = "joint_2", "joint_5"
 STANDS = 0.4
 FACTORS = {"joint_4": 0.5, "branch_joint": -0.7}
-STATED = Stated({WAIST: STANDS}, {KNUCKLE: FACTORS})
+STATED = StatedJoints({WAIST: STANDS}, {KNUCKLE: FACTORS})
 """Of a chain of seven joints: the second stands still, the fifth follows the fourth and a joint of a side branch."""
 
 URDF = robots.random_chain(np.random.default_rng(4), "RRRRRRR")
 
 
-def arm(stated: Stated = STATED) -> Robot:
+def arm(stated: StatedJoints = STATED) -> Robot:
     return parse_robot(URDF, "tip", stated=stated)
 
 
@@ -83,7 +83,7 @@ def test_the_whole_tree_is_where_pinocchio_has_it() -> None:
 
 
 def test_a_base_above_a_joint_that_stands_still_sees_the_tree_as_pinocchio_does() -> None:
-    robot = parse_robot(URDF, "tip", "link_3", stated=Stated({WAIST: STANDS, "branch_joint": 0.3}))
+    robot = parse_robot(URDF, "tip", "link_3", stated=StatedJoints({WAIST: STANDS, "branch_joint": 0.3}))
     q = robots.readings(robot, 3, np.random.default_rng(1))
     at = dict(zip(robot.readings, q.T, strict=True)) | {WAIST: np.full(3, STANDS), "branch_joint": np.full(3, 0.3)}
     _, *walked = tree_frames(robot, q)
@@ -112,7 +112,7 @@ def test_jacobian_by_readings_is_that_of_differences_for_many_rows_and_for_one()
 
 
 def test_loads_are_those_of_a_table_that_has_the_columns() -> None:
-    robot, plain = arm(Stated({WAIST: STANDS}, {KNUCKLE: {"joint_4": 0.5, "joint_3": -0.7}})), arm(Stated())
+    robot, plain = arm(StatedJoints({WAIST: STANDS}, {KNUCKLE: {"joint_4": 0.5, "joint_3": -0.7}})), arm(StatedJoints())
     q = robots.readings(robot, 6, np.random.default_rng(3))
     around, world, wanted = Surroundings(np.array([1.0, -2.0, -9.0])), np.zeros(6, dtype=int), f"{WAIST}.gravity_torque"
     found = covariate_table(robot, q, {}, around, world, {wanted})
@@ -128,7 +128,7 @@ def test_loads_are_those_of_a_table_that_has_the_columns() -> None:
 
 
 def test_inertia_carried_by_a_joint_is_that_of_the_branch_where_it_stands() -> None:
-    robot = arm(Stated({"branch_joint": 1.0}))
+    robot = arm(StatedJoints({"branch_joint": 1.0}))
     model, q = robot.tree, pin.neutral(robot.tree)
     q[model.joints[model.getJointId("branch_joint")].idx_q] = 1.0
     k = model.getJointId("joint_1")
@@ -143,7 +143,9 @@ def test_nothing_is_offered_that_goes_with_the_reading_of_a_joint_that_stands_st
     robot = arm()
     q = robots.readings(robot, 30, np.random.default_rng(5))
     table = covariate_table(robot, q, {}, Surroundings(), np.zeros(30, dtype=int), {f"{WAIST}.gravity_torque"})
-    offered = candidates(Observed(robot, table, ()), [name for name, kind in KINDS.items() if not kind.asked])
+    offered = candidates(
+        ObservedRows(robot, table, ()), [name for name, kind in EFFECT_KINDS.items() if not kind.on_request]
+    )
     depends = {name for effect in offered for c in effect.coefficients for name in c.basis.of}
     assert KNUCKLE in depends and WAIST not in depends
     assert any(effect.where == WAIST for effect in offered)  # it may give way, though
@@ -158,7 +160,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[robots.Truth, Path]:
     return truth, folder
 
 
-def written(folder: Path, truth: robots.Truth, stated: Stated, **measurements: object) -> Path:
+def written(folder: Path, truth: robots.Truth, stated: StatedJoints, **measurements: object) -> Path:
     """The campaign of a machine, with what is stated of its joints."""
     section = {"urdf": "robot.urdf", "base": "base", "tip": "tip", "joints": stated.joints, "coupled": stated.coupled}
     search = {"enabled": True, "candidates": ["joint_harmonic", "joint_compliance", "joint_backlash"]}
@@ -207,7 +209,7 @@ def test_the_saved_calibration_predicts_what_the_model_in_memory_does(done: tupl
 
 
 def test_only_a_campaign_that_states_joints_saves_any(done: tuple[robots.Truth, Path], tmp_path: Path) -> None:
-    truth = robots.simulate(arm(Stated()), 30, np.random.default_rng(10), noise=1e-4, which="none")
+    truth = robots.simulate(arm(StatedJoints()), 30, np.random.default_rng(10), noise=1e-4, which="none")
     assert identify.main([str(robots.write_campaign(tmp_path, truth, parameters={"set": "none"}))]) == 0
     there, plain = (
         yaml.safe_load((folder / "results" / "calibration.yaml").read_text())["robot"] for folder in (done[1], tmp_path)
@@ -266,7 +268,7 @@ def test_robot_programs_of_a_coupled_arm_are_refused(
 
 def test_masters_that_follow_others_or_stand_still_are_resolved() -> None:
     """Composed by hand: joint_7 = 2 joint_5 + joint_2 with joint_5 = 0.5 joint_4 - 0.7 branch_joint, joint_2 = 0.4."""
-    stated = Stated({WAIST: STANDS}, {KNUCKLE: FACTORS, "joint_7": {KNUCKLE: 2.0, WAIST: 1.0}})
+    stated = StatedJoints({WAIST: STANDS}, {KNUCKLE: FACTORS, "joint_7": {KNUCKLE: 2.0, WAIST: 1.0}})
     drive = arm(stated).joint("joint_7").drive
     assert drive.factors == pytest.approx({"joint_4": 1.0, "branch_joint": -1.4})
     assert drive.offset == pytest.approx(STANDS)
@@ -278,24 +280,24 @@ def test_masters_that_follow_others_or_stand_still_are_resolved() -> None:
 @pytest.mark.parametrize(
     ("stated", "said"),
     [
-        (Stated({"joint2": 0.0}), r"robot.joints: .*no joint 'joint2' \(did you mean 'joint_2'\?\). Write"),
-        (Stated({"tip_fixed": 0.0}), r"robot.joints: joint 'tip_fixed' of .* does not move.*Write one that does"),
-        (Stated({}, {"joint_9": FACTORS}), r"robot.coupled: .*no joint 'joint_9' \(did you mean 'joint_\d'\?\)"),
-        (Stated({}, {KNUCKLE: {"brunch_joint": 1.0}}), r"robot.coupled.joint_5: .*did you mean 'branch_joint'"),
-        (Stated({}, {KNUCKLE: {"tip_fixed": 1.0}}), r"robot.coupled.joint_5: joint 'tip_fixed' .*does not move"),
-        (Stated({}, {KNUCKLE: {}}), r"robot.coupled.joint_5: names no joint.*`robot.joints`"),
-        (Stated({}, {KNUCKLE: {"joint_4": 0.0}}), r"robot.coupled.joint_5.joint_4: a factor of 0.*Delete"),
-        (Stated({KNUCKLE: 0.0}, {KNUCKLE: FACTORS}), r"robot.coupled.joint_5: .*`robot.joints`, too. Delete one"),
-        (Stated({"joint_6": 0.0}), r"'joint_6' has a <mimic>, and stands under `robot.joints`, too. Delete one"),
-        (Stated({}, {"joint_6": FACTORS}), r"'joint_6' has a <mimic>, and stands under `robot.coupled`, too"),
-        (Stated({}, {KNUCKLE: {KNUCKLE: 1.0}}), r"'joint_5' mimics itself, by way of 'joint_5'.*`robot.coupled`"),
-        (Stated({}, {KNUCKLE: {"joint_4": 1.0}, "joint_4": {KNUCKLE: 1.0}}), r"mimics itself, by way of"),
-        (Stated({}, {"joint_1": {"joint_6": 1.0}}), r"mimics itself, by way of"),
-        (Stated({}, {KNUCKLE: {"joint_4": 1e9}, "joint_7": {KNUCKLE: 1e9}}), r"multiplies beyond 1e\+09.*check"),
-        (Stated(dict.fromkeys([f"joint_{k}" for k in (1, 2, 3, 4, 5, 7)], 0.0)), None),
+        (StatedJoints({"joint2": 0.0}), r"robot.joints: .*no joint 'joint2' \(did you mean 'joint_2'\?\). Write"),
+        (StatedJoints({"tip_fixed": 0.0}), r"robot.joints: joint 'tip_fixed' of .* does not move.*Write one that does"),
+        (StatedJoints({}, {"joint_9": FACTORS}), r"robot.coupled: .*no joint 'joint_9' \(did you mean 'joint_\d'\?\)"),
+        (StatedJoints({}, {KNUCKLE: {"brunch_joint": 1.0}}), r"robot.coupled.joint_5: .*did you mean 'branch_joint'"),
+        (StatedJoints({}, {KNUCKLE: {"tip_fixed": 1.0}}), r"robot.coupled.joint_5: joint 'tip_fixed' .*does not move"),
+        (StatedJoints({}, {KNUCKLE: {}}), r"robot.coupled.joint_5: names no joint.*`robot.joints`"),
+        (StatedJoints({}, {KNUCKLE: {"joint_4": 0.0}}), r"robot.coupled.joint_5.joint_4: a factor of 0.*Delete"),
+        (StatedJoints({KNUCKLE: 0.0}, {KNUCKLE: FACTORS}), r"robot.coupled.joint_5: .*`robot.joints`, too. Delete one"),
+        (StatedJoints({"joint_6": 0.0}), r"'joint_6' has a <mimic>, and stands under `robot.joints`, too. Delete one"),
+        (StatedJoints({}, {"joint_6": FACTORS}), r"'joint_6' has a <mimic>, and stands under `robot.coupled`, too"),
+        (StatedJoints({}, {KNUCKLE: {KNUCKLE: 1.0}}), r"'joint_5' mimics itself, by way of 'joint_5'.*`robot.coupled`"),
+        (StatedJoints({}, {KNUCKLE: {"joint_4": 1.0}, "joint_4": {KNUCKLE: 1.0}}), r"mimics itself, by way of"),
+        (StatedJoints({}, {"joint_1": {"joint_6": 1.0}}), r"mimics itself, by way of"),
+        (StatedJoints({}, {KNUCKLE: {"joint_4": 1e9}, "joint_7": {KNUCKLE: 1e9}}), r"multiplies beyond 1e\+09.*check"),
+        (StatedJoints(dict.fromkeys([f"joint_{k}" for k in (1, 2, 3, 4, 5, 7)], 0.0)), None),
     ],
 )  # fmt: skip
-def test_what_cannot_be_meant_is_named_with_the_key(stated: Stated, said: str | None) -> None:
+def test_what_cannot_be_meant_is_named_with_the_key(stated: StatedJoints, said: str | None) -> None:
     match = said or r"all joints between .* stand still by `robot.joints`.*Delete"
     with pytest.raises(AridcalError, match=match):
         parse_robot(mimicking("joint_1"), "tip", stated=stated)

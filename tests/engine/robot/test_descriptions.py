@@ -19,7 +19,7 @@ import yaml
 import aridcal
 from aridcal import identify, init, simulate
 from aridcal.engine.model.model import Model
-from aridcal.engine.robot import expand, named
+from aridcal.engine.robot import described_robots, expand
 from aridcal.engine.robot.chain import load_robot, parse_robot
 from aridcal.engine.robot.expand import is_xacro, read_urdf
 from aridcal.engine.robot.packages import find_package
@@ -240,7 +240,7 @@ def test_without_the_extra_the_way_out_is_told(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(RobotError, match=r'`pip install "aridcal\[xacro\]"` .*, or run xacro first'):
         read_urdf(path)
     with pytest.raises(RobotError, match=r'ur5e: there is no such file.*`pip install "aridcal\[xacro\]"`'):
-        named.named_robot("ur5e")
+        described_robots.named_robot("ur5e")
 
 
 # ---------------------------------------------------------------- packages
@@ -372,7 +372,7 @@ def test_nothing_is_downloaded_unasked(cache: Path, tmp_path: Path, monkeypatch:
 )
 def test_names_that_are_none_are_told(name: str, said: str, cache: Path) -> None:
     with pytest.raises(RobotError, match=said):
-        named.named_robot(name)
+        described_robots.named_robot(name)
 
 
 def test_a_robot_in_the_cache_is_taken_by_its_name(

@@ -10,7 +10,7 @@ from repository import ROOT
 
 from aridcal.engine.robot.chain import Joint, Robot, load_robot
 from aridcal.engine.robot.doty import (
-    COMPONENTS,
+    DOTY_COMPONENTS,
     Link,
     align,
     axis_to_link,
@@ -46,7 +46,7 @@ def placements(robot: Robot) -> list[pin.SE3]:
 
 def fold(link: Link, **corrections: float) -> pin.SE3:
     """From a joint's frame, after its motion, to the next one's, with corrections dd, dtheta, dbeta, da, dalpha."""
-    d = {c: corrections.get(f"d{c}", 0.0) for c in COMPONENTS}
+    d = {c: corrections.get(f"d{c}", 0.0) for c in DOTY_COMPONENTS}
     corrected = link_transform(
         link.theta + d["theta"], link.beta + d["beta"], link.a + d["a"], link.alpha + d["alpha"], d["d"]
     )
@@ -273,7 +273,7 @@ def test_segments_with_corrections_inserted_multiply_to_the_folded_placement(ran
     for robot in random_chains[:60]:
         for link in doty_links(robot):
             kinds.add(link.components)
-            corrections = dict(zip(COMPONENTS, rng.uniform(-0.3, 0.3, 5), strict=True))
+            corrections = dict(zip(DOTY_COMPONENTS, rng.uniform(-0.3, 0.3, 5), strict=True))
             cuts, rest = segments(link)
             assert tuple(component for component, _ in cuts) == link.components
             product = pin.SE3.Identity()

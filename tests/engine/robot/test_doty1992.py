@@ -16,10 +16,10 @@ from repository import ROOT
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import load_robot
-from aridcal.engine.robot.doty import COMPONENTS, link_transform
+from aridcal.engine.robot.doty import DOTY_COMPONENTS, link_transform
 from aridcal.jobs.head1992.doty1992 import (
+    DOTY_JOINTS,
     FRAME,
-    JOINTS,
     ORBITER_TO_BASE,
     PARAMETERS,
     PSI,
@@ -81,7 +81,7 @@ def test_first_order_pair_is_the_linear_part_of_the_exact_product():
 
     def product(scale: complex) -> np.ndarray:
         scaled = [pair * (1 - small + scale * small) for pair in (first, second)]
-        one, two = (link_transform(**dict(zip(COMPONENTS, pair.T, strict=True))) for pair in scaled)
+        one, two = (link_transform(**dict(zip(DOTY_COMPONENTS, pair.T, strict=True))) for pair in scaled)
         return one @ two
 
     expected = product(0.0) + product(1e-30j).imag / 1e-30
@@ -150,7 +150,7 @@ def test_exact_pose_matches_pinocchio():
     model, frame = pin.Model(), pin.SE3.Identity()
     for k, kind in enumerate([pin.JointModelPZ(), pin.JointModelRZ(), pin.JointModelRZ(), pin.JointModelRZ()]):
         model.addJoint(k, kind, frame, f"joint_{k + 1}")
-        frame = pin.SE3(link_transform(**dict(zip(COMPONENTS, links[k], strict=True))))
+        frame = pin.SE3(link_transform(**dict(zip(DOTY_COMPONENTS, links[k], strict=True))))
     data = model.createData()
     for q in random_q(rng, 10):
         pin.forwardKinematics(model, data, q)
@@ -164,8 +164,8 @@ def test_exact_jacobian_matches_complex_differences_of_the_links():
     tip = pin.SE3(pin.rpy.rpyToMatrix(-0.3, 0.1, 0.2), np.array([0.1, 0.05, -0.2])).homogeneous
     J = jacobian(links, q, tip)
     poses = pose(links, q) @ tip
-    for i, joint in enumerate(JOINTS):
-        for k, component in enumerate(COMPONENTS):
+    for i, joint in enumerate(DOTY_JOINTS):
+        for k, component in enumerate(DOTY_COMPONENTS):
             moved = links.astype(complex)
             moved[i, k] += 1e-30j
             derivative = (pose(moved, q) @ tip).imag / 1e-30
@@ -235,7 +235,7 @@ def test_extended_model_has_the_exact_poses_and_jacobian_of_the_report_at_any_si
     links = arid()
     for name, value in zip(names, theta, strict=True):
         joint, component = name.split(".")
-        links[JOINTS.index(joint), list(COMPONENTS).index(component)] += value
+        links[DOTY_JOINTS.index(joint), list(DOTY_COMPONENTS).index(component)] += value
     q = random_q(rng, 20)
     model = extended_model(names, LENGTHS)
     R, p, J = model.jacobian(theta, model.rows(q))

@@ -11,7 +11,7 @@ import pytest
 import robots
 import yourdfpy
 
-from aridcal.engine.robot.chain import Column, Robot, load_robot, parse_robot
+from aridcal.engine.robot.chain import ReadingColumn, Robot, load_robot, parse_robot
 from aridcal.engine.robot.drive import Drive
 from aridcal.engine.robot.kinematics import gravity_loads, joint_frames, rotations, tip_frames, transverse, tree_frames
 from aridcal.system.errors import RobotError
@@ -163,7 +163,7 @@ def test_one_column_drives_a_master_and_its_mimic_on_the_same_chain() -> None:
 def test_a_continuous_joint_has_no_limits() -> None:
     robot = parse_robot(COLUMN, "hand", "base")
     wrist = robot.columns[1]
-    assert (robot.joint("wrist").kind, wrist) == ("revolute", Column("wrist", "continuous", -np.inf, np.inf))
+    assert (robot.joint("wrist").kind, wrist) == ("revolute", ReadingColumn("wrist", "continuous", -np.inf, np.inf))
     assert robots.arid().columns[0].upper == pytest.approx(718 * 0.0254)
 
 

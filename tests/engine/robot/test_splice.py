@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import load_robot, parse_robot
-from aridcal.engine.robot.splice import rpy_near, splice_origins, written_origins
+from aridcal.engine.robot.splice import origin_texts, rpy_near, splice_origins
 from aridcal.system.errors import RobotError
 
 ROBOTS = distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")
@@ -404,11 +404,11 @@ def test_rounding_is_not_written():
     urdf = FOREIGN.replace('<origin xyz="0 0 0"/>', '<origin xyz="0 0.1273 2" rpy="1.5707963 0 -3.1"/>', 1)
     urdf = urdf.replace('<axis xyz="0 0 1"/><origin xyz="0 0 0"/>', '<axis xyz="0 0 1"/><origin xyz="0 0.1273 2"/>')
     placement = pin.SE3(turned([-1e-15, 2e-16, 0.0]), np.array([-1e-15, 0.1273 + 3e-17, 2 - 5e-16]))
-    xyz, rpy = written_origins(urdf.encode(), {"a": placement})["a"]
+    xyz, rpy = origin_texts(urdf.encode(), {"a": placement})["a"]
     assert xyz.tolist() == [0.0, 0.1273, 2.0]
     assert rpy.tolist() == [0.0, 0.0, 0.0]
     real = pin.SE3(turned([1e-9, 0.0, 0.0]), np.array([1e-9, 0.1273, 2.0]))
-    xyz, rpy = written_origins(urdf.encode(), {"a": real})["a"]
+    xyz, rpy = origin_texts(urdf.encode(), {"a": real})["a"]
     assert xyz[0] == 1e-9
     assert rpy[0] == pytest.approx(1e-9, abs=1e-16)
 
@@ -420,7 +420,7 @@ def test_a_calibrated_urdf_is_written_on_the_branch_of_the_nominal_one(tmp_path)
     coefficients = [Coefficient(j.name, c) for j in robot.joints for c in ("roll", "pitch", "yaw")]
     model = Model(robot, coefficients)
     theta = np.random.default_rng(2).normal(0, 2e-3, len(coefficients))
-    spliced = splice_origins(robot.urdf, written_origins(robot.urdf, model.origins(theta)))
+    spliced = splice_origins(robot.urdf, origin_texts(robot.urdf, model.origins(theta)))
     for name, before in nominal.items():
         after = etree.fromstring(spliced).find(f"joint[@name='{name}']/origin")
         old, new = (np.array([float(v) for v in e.get("rpy").split()]) for e in (before, after))

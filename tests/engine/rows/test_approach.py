@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 import robots
 
-from aridcal.engine.corrections.catalogue import KINDS, candidates
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates
 from aridcal.engine.rows.approach import approach, with_directions
 from aridcal.engine.rows.dataset import dataset
-from aridcal.engine.search.diagnose import look
+from aridcal.engine.search.diagnose import covariates_and_exclusions
 from aridcal.engine.search.loop import fit_constants
 from aridcal.files.campaign import load_campaign
 from aridcal.files.read import load_measurements
@@ -85,8 +85,11 @@ def test_nothing_but_backlash_may_depend_on_a_derived_side(tmp_path: Path) -> No
     rows = with_directions(load_measurements(found, robot.readings, robot.limits, robot.kinds))
     geometric = fit_constants(found.question, robot, rows, ()).geometric
     train = rows.select(rows.train)
-    asked = [look(geometric.model, part)[0] for part in (train, replace(train, covariates={}).with_origin(derived=()))]
-    with_it, without = (candidates(part, [k for k in KINDS if KINDS[k].testable]) for part in asked)
+    asked = [
+        covariates_and_exclusions(geometric.model, part)[0]
+        for part in (train, replace(train, covariates={}).with_origin(derived=()))
+    ]
+    with_it, without = (candidates(part, [k for k in EFFECT_KINDS if EFFECT_KINDS[k].testable]) for part in asked)
     more = set(with_it) - set(without)
     assert {(e.kind, e.by) for e in more} == {("joint_backlash", "direction")}
     assert len(more) == len(robot.joints)

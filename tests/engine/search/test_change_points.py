@@ -14,16 +14,16 @@ from aridcal.engine.fit.flags import OUTLIER
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.engine.levels import DOUBT
 from aridcal.engine.search.change_points import (
-    COARSE,
-    LENGTHS,
-    SIDE,
-    WANDERS,
+    COARSE_STEPS,
+    FEWEST_ROWS_OF_A_SIDE,
+    WANDER_LENGTHS,
+    WANDER_VARIANCES,
     _likelihoods,
     best_steps,
     step_points,
     walk_instead,
 )
-from aridcal.engine.search.evidence import NOTHING
+from aridcal.engine.search.evidence import NO_SCORE
 from aridcal.engine.search.linear_model import LinearModel
 from aridcal.engine.search.scoring import judge, score_of
 from aridcal.engine.search.screening import score_all
@@ -75,11 +75,11 @@ def template(where: str, of: str = ROW_ORDER) -> Effect:
 def chance_of_a_walk(model: LinearModel, where: str) -> float:
     state = solved(model)
     (effect,) = best_steps(model, state, [template(where)])
-    return walk_instead(model, state, activate(state, effect, NOTHING))
+    return walk_instead(model, state, activate(state, effect, NO_SCORE))
 
 
 @pytest.mark.parametrize("of", [ROW_ORDER, "time"])
-@pytest.mark.parametrize("n", [90, 2 * COARSE + 150])
+@pytest.mark.parametrize("n", [90, 2 * COARSE_STEPS + 150])
 def test_the_scan_finds_what_scoring_every_step_one_by_one_finds(of: str, n: int) -> None:
     model = made_up(1, n)
     late = np.argsort(np.argsort(model.table[of])) >= n // 3
@@ -98,9 +98,16 @@ def test_steps_leave_rows_on_either_side_and_never_part_rows_of_one_value() -> N
     np.testing.assert_array_equal(before, [10, 20])
     np.testing.assert_array_equal(points, [1.5, 2.5])
     before, _ = step_points(np.arange(20.0))
-    assert (before.min(), before.max()) == (SIDE, 20 - SIDE)
-    assert len(step_points(np.arange(2.0 * SIDE - 1))[0]) == 0
-    assert best_steps(made_up(0, 2 * SIDE - 1), solved(made_up(0, 2 * SIDE - 1)), [template("j1")]) == []
+    assert (before.min(), before.max()) == (FEWEST_ROWS_OF_A_SIDE, 20 - FEWEST_ROWS_OF_A_SIDE)
+    assert len(step_points(np.arange(2.0 * FEWEST_ROWS_OF_A_SIDE - 1))[0]) == 0
+    assert (
+        best_steps(
+            made_up(0, 2 * FEWEST_ROWS_OF_A_SIDE - 1),
+            solved(made_up(0, 2 * FEWEST_ROWS_OF_A_SIDE - 1)),
+            [template("j1")],
+        )
+        == []
+    )
 
 
 def test_a_step_passes_every_gate_at_its_row_and_noise_none() -> None:
@@ -140,8 +147,8 @@ def test_the_filter_s_likelihood_is_that_of_the_whole_covariance() -> None:
     white = float(np.median(variance))
     best = [-np.inf, -np.inf]
     t = np.arange(n)
-    for length in LENGTHS:
-        for wander in WANDERS:
+    for length in WANDER_LENGTHS:
+        for wander in WANDER_VARIANCES:
             walk = np.minimum(t[:, None], t)
             K = walk if np.isinf(length) else np.exp(-np.abs(t[:, None] - t) / length)
             C = np.diag(variance) + white * wander * K

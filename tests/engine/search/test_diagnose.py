@@ -17,7 +17,7 @@ import yaml
 from repository import ROOT
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.search.diagnose import SEARCHED
+from aridcal.engine.search.diagnose import MOST_SEARCHED_ROWS
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.outcome import Outcome, errors
 from aridcal.jobs.calibrate.pipeline import identify
@@ -235,13 +235,15 @@ def test_rows_marked_test_choose_nothing(tmp_path):
 
 def test_what_is_found_on_some_of_thousands_of_rows_is_fitted_to_all_of_them(tmp_path):
     """As if it had been declared, and nothing been sought."""
-    path = campaign(tmp_path, [{"kind": "joint_coupling", **EFFECTS["joint_coupling"]}], (), n=round(1.35 * SEARCHED))
+    path = campaign(
+        tmp_path, [{"kind": "joint_coupling", **EFFECTS["joint_coupling"]}], (), n=round(1.35 * MOST_SEARCHED_ROWS)
+    )
     found = identify(changed(path, diagnosis={"candidates": ["joint_coupling", "joint_gain", "joint_compliance"]}))
     known = {"kind": "joint_coupling", "where": "joint_3", "with": "joint_4"}
     stated = identify(changed(path, effects=[known], diagnosis={"enabled": False}))
     assert named(found) == named(stated) == {("joint_coupling", "joint_3")}
     one, other = (o.stage("final").fit for o in (found, stated))
-    assert len(one.weight) == len(other.weight) == round(0.8 * 1.35 * SEARCHED)
+    assert len(one.weight) == len(other.weight) == round(0.8 * 1.35 * MOST_SEARCHED_ROWS)
     assert one.model.names == other.model.names
     assert np.abs((one.theta - other.theta) / other.std).max() < 0.1
     np.testing.assert_allclose(one.std, other.std, rtol=0.05)

@@ -12,7 +12,7 @@ import robots
 from aridcal import calibrate, identify
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.stages import LENGTHS
+from aridcal.engine.fit.stages import LENGTH_COMPONENTS
 from aridcal.engine.search import loop
 from aridcal.engine.search.loop import fit_constants
 from aridcal.jobs.calibrate.pipeline import identify as identified
@@ -117,7 +117,7 @@ def _sizes(found: Fit, every: tuple[Coefficient, ...], frames: np.ndarray) -> np
     q = robots.readings(model.robot, 300, np.random.default_rng(2), 0.9)
     J = model.jacobian(np.zeros(len(every)), model.rows(q))[2][:, :3].reshape(-1, len(every))
     T = np.linalg.lstsq(J[:, own], J, rcond=None)[0]
-    lengths = np.array([c.component in LENGTHS for c in every])
+    lengths = np.array([c.component in LENGTH_COMPONENTS for c in every])
     believed = found.believed.any(axis=1)
     parts = [T[:, some & ~frames][believed] for some in (lengths, ~lengths)]
     C = np.linalg.inv(found.believed[np.ix_(believed, believed)])

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.engine.fit.least_squares import Fit, minimise
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.levels import BLOCKS
+from aridcal.engine.levels import JUDGING_FOLDS
 from aridcal.engine.model.rigid_bodies import targets_of_one_body
 from aridcal.engine.search import loop
 from aridcal.engine.search.loop import fit_constants
@@ -36,7 +36,7 @@ def test_squares_of_held_back_rows_are_those_of_fits_without_them() -> None:
     data = truth.measured
     squares = loop._held_back_squares(geometric, data)
     number = np.random.default_rng(2).permutation(int(data.repeats.configuration.max()) + 1)
-    block = number[data.repeats.configuration] % BLOCKS
+    block = number[data.repeats.configuration] % JUDGING_FOLDS
     asked = problem(geometric.model, data)
     for k in (0, 3):
         rest = asked.select(block != k)

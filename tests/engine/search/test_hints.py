@@ -16,7 +16,7 @@ from aridcal.engine.search.evidence import Score
 from aridcal.engine.search.linear_model import LinearModel
 from aridcal.engine.search.scoring import Judgement, judge, score_of
 from aridcal.engine.search.sets import Choices
-from aridcal.engine.search.state import FAINT, activate, solve_state
+from aridcal.engine.search.state import FAINT_MODE_SHARE, activate, solve_state
 
 UNIT = np.ones(2)
 
@@ -99,6 +99,6 @@ def test_what_is_active_and_smooth_has_modes_of_unit_prior_and_the_rows_tell_not
     lacking = np.linalg.inv(active.coefficient_precision) - active.modes @ active.modes.T
     moved = (b.columns(curve) / made.sigma[:, None]).reshape(-1, len(knots))
     squares = np.linalg.eigvalsh(moved @ lacking @ moved.T)
-    assert squares.min() > -1e-6 and squares.max() < 1.01 * FAINT
+    assert squares.min() > -1e-6 and squares.max() < 1.01 * FAINT_MODE_SHARE
     plain = activate(made, Effect("joint_harmonic", "j1", turns("j1", "axis", "j1", 2.0), (2.0,)), Score(1.0, 0.0, 2))
     assert not plain.precision.any()

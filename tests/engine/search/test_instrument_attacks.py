@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.condition_kinds import SIDE
+from aridcal.engine.corrections.condition_kinds import FEWEST_ROWS_OF_A_SIDE
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import fit
 from aridcal.engine.fit.normal_equations import Prior
@@ -58,10 +58,10 @@ def test_a_motion_that_can_shrink_the_arm_does_not_shrink_the_noise(kind: str, t
 
 def test_a_step_is_sought_only_where_one_place_has_rows_on_both_sides() -> None:
     group = np.repeat([0, 1, 2], 20)
-    before = np.arange(SIDE, 60 - SIDE + 1)
+    before = np.arange(FEWEST_ROWS_OF_A_SIDE, 60 - FEWEST_ROWS_OF_A_SIDE + 1)
     allowed = before[_within_a_place(np.arange(60.0), group, before)]
     assert not set(allowed) & {20, 40}
-    assert set(allowed) == {k for k in before.tolist() if SIDE <= k % 20 <= 20 - SIDE}
+    assert set(allowed) == {k for k in before.tolist() if FEWEST_ROWS_OF_A_SIDE <= k % 20 <= 20 - FEWEST_ROWS_OF_A_SIDE}
 
 
 def test_rows_that_cannot_tell_where_their_things_are_are_refused_by_name(tmp_path: Path) -> None:

@@ -20,13 +20,13 @@ from scipy.integrate import quad
 
 from aridcal.engine.corrections.basis import evaluate
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.sights import LENGTH, PLACE, SAG, Sights, sight_table, target_places
+from aridcal.engine.corrections.sights import LENGTH, PLATE_COORDINATES, SAG, Sights, sight_table, target_places
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import with_things_moved
 from aridcal.engine.robot.kinematics import along_plane
 from aridcal.files.campaign import load_campaign
 from aridcal.files.yaml_file import load_settings
-from aridcal.jobs.calibrate.folder import what_moved
+from aridcal.jobs.calibrate.folder import step_in_words
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saving import calibration
@@ -264,7 +264,7 @@ def test_a_plate_keeps_its_middle_and_its_shape_on_other_rows(searched: Searched
     outcome, _ = searched("a bent plate")
     fit, rows = outcome.stages[-1].fit, outcome.measurements
     whole = problem(fit.model, rows)
-    k = np.flatnonzero([c.basis.of == ("table" + PLACE[0],) for c in fit.model.coefficients])
+    k = np.flatnonzero([c.basis.of == ("table" + PLATE_COORDINATES[0],) for c in fit.model.coefficients])
     assert len(k) == 1
     varying = [c for c in fit.model.coefficients if not c.basis.constant]
     own = varying.index(fit.model.coefficients[int(k[0])])
@@ -275,15 +275,15 @@ def test_a_plate_keeps_its_middle_and_its_shape_on_other_rows(searched: Searched
     assert isinstance(fit.model.coefficients[int(k[0])], Coefficient)
     table = sight_table(fit.model.robot, rows.readings, fit.model.around.sights, np.zeros(3), whole.rows.tip)
     np.testing.assert_allclose(evaluate(u, table), whole.rows.phi[:, own], atol=1e-15)
-    assert abs(table["table" + PLACE[0]][fitted].mean()) < 1e-12
+    assert abs(table["table" + PLATE_COORDINATES[0]][fitted].mean()) < 1e-12
 
 
 def test_what_was_knocked_is_told_in_words_and_a_joint_has_a_zero(searched: Searched) -> None:
     outcome, _ = searched("a plate that was knocked")
     (effect,) = (e.effect for e in outcome.effects)
-    assert what_moved(effect, outcome.measurements).startswith("wall moved between rows ")
+    assert step_in_words(effect, outcome.measurements).startswith("wall moved between rows ")
     of_joint = Effect("shift", "elbow_joint", (replace(effect.coefficients[0], where="elbow_joint", component="axis"),))
-    assert what_moved(of_joint, outcome.measurements).startswith("the zero of elbow_joint moved between rows ")
+    assert step_in_words(of_joint, outcome.measurements).startswith("the zero of elbow_joint moved between rows ")
 
 
 def test_predictions_are_where_the_target_is_not_where_a_tracker_shows_it(searched: Searched) -> None:

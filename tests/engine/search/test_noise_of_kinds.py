@@ -21,7 +21,7 @@ from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_arm, f
 from aridcal.engine.search.noise_causes import NoiseCauses, noise_causes
 from aridcal.identify import summary
 from aridcal.jobs.calibrate.folder import result_document
-from aridcal.jobs.calibrate.key_figures import another_day
+from aridcal.jobs.calibrate.key_figures import verification_agreement
 from aridcal.jobs.calibrate.outcome import Outcome, Verification, errors
 from aridcal.pages.drawing.html import join
 from aridcal.pages.drawing.words import causes_in_words
@@ -91,7 +91,7 @@ def test_rows_are_weighed_by_what_rounded_joints_do_to_them(tmp_path: Path) -> N
     data = rounded(gauges.rows(arm, gauges.distances(arm, 3, 100), gauges.levels(arm, 60)))
     job = gauges.campaign(tmp_path, arm, data)
     made = fit_arm(job.question, fit_constants(job.question, arm.robot, data, ()), data, SILENT).diagnosed
-    found = noise_causes(made.fit, made.found.state.active, data)
+    found = noise_causes(made.fit, made.stepwise.state.active, data)
     assert found is not None and found.relative is not None
     fit, step = made.fit, 1e-6
     asked = problem(fit.model, data)
@@ -380,7 +380,7 @@ def test_another_days_wire_is_set_beside_this_days_wire_alone(tmp_path: Path) ->
     day = outcome.measurements.select(outcome.measurements.labels.block == 1)
     residual = {s.name: s.residual[outcome.measurements.labels.block == 1] for s in outcome.stages}
     found = Verification("later.csv", day, residual, np.zeros(len(day), dtype=bool), None)
-    holds = another_day(replace(outcome, verification=found))
+    holds = verification_agreement(replace(outcome, verification=found))
     mask = outcome.parts()["test"]
     own = errors(outcome.stages[-1].residual, mask, outcome.channels)["distance_mm"]["rms"]
     assert holds is not None and holds[0]

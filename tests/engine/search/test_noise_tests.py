@@ -11,23 +11,23 @@ import robots
 from scipy.stats import kstest
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.condition_kinds import SIDE
+from aridcal.engine.corrections.condition_kinds import FEWEST_ROWS_OF_A_SIDE
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import Fit, fit
-from aridcal.engine.fit.noise import Repeats, declared_notices
+from aridcal.engine.fit.noise import RepeatScatter, declared_notices
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import PIXEL
 from aridcal.engine.instruments.setup import Block
 from aridcal.engine.rows.dataset import Dataset, dataset
 from aridcal.engine.search.noise_tests import (
     SHUFFLES,
-    STRETCHES,
+    TESTED_STRETCHES,
     Clue,
-    View,
+    ResidualView,
     _change,
     _neighbours,
     _things,
-    by_chance,
+    chance_moments,
     clues,
     stretches,
 )
@@ -52,7 +52,7 @@ def telling(
     q: np.ndarray,
     time: np.ndarray | None = None,
     noise: tuple[float | None, ...] = UNKNOWN,
-    repeats: Repeats | None = None,
+    repeats: RepeatScatter | None = None,
 ) -> list[Clue]:
     """What shows structure."""
     return [c for c in clues(rows(r, q, time, noise), r, repeats, 1.0) if c.tells]
@@ -90,14 +90,14 @@ def test_what_chance_makes_of_pairs_is_what_all_orders_make_of_them(columns: int
     x = 0.4 + rng.standard_normal((6, columns)) ** 3  # neither centred nor normal
     first, second = np.array([[0, 1, 1, 3, 4, 0, 5, 2], [1, 0, 2, 4, 3, 5, 2, 0]])  # some twice, either way round
     every = [np.sum(x[list(order)][first] * x[list(order)][second]) for order in permutations(range(6))]
-    assert by_chance(x, first, second) == pytest.approx((np.mean(every), np.std(every)), rel=1e-9)
+    assert chance_moments(x, first, second) == pytest.approx((np.mean(every), np.std(every)), rel=1e-9)
 
 
 def test_rows_that_stand_twice_are_no_neighbours_of_themselves() -> None:
     """Residuals have nothing in common; a quarter of what rows are compared with would be themselves."""
     rng = np.random.default_rng(2)
     readings = np.repeat(rng.standard_normal((500, 3)), 2, axis=0)
-    found = _neighbours([View("so", rng.standard_normal((1000, 2)))], readings)
+    found = _neighbours([ResidualView("so", rng.standard_normal((1000, 2)))], readings)
     assert found.share < 0.05 and found.p_value > 0.01
 
 
@@ -149,9 +149,9 @@ def test_repeats_that_scatter_less_than_the_residual_are_the_measure_of_what_is_
     noise = rng.standard_normal((600, 3))
     r = noise + 2.0 * rng.standard_normal((200, 3))[group]
     q = rng.uniform(-1, 1, (600, 3))  # neighbours are strangers, so that only the repeats can tell
-    (found,) = telling(r, q, repeats=Repeats(200, 600, np.ones(1), np.array([400.0]), 0.0))
+    (found,) = telling(r, q, repeats=RepeatScatter(200, 600, np.ones(1), np.array([400.0]), 0.0))
     assert found.share == pytest.approx(0.8, abs=0.05)
-    assert telling(noise, q, repeats=Repeats(200, 600, np.ones(1), np.array([400.0]), 0.0)) == []
+    assert telling(noise, q, repeats=RepeatScatter(200, 600, np.ones(1), np.array([400.0]), 0.0)) == []
 
 
 def test_noise_stated_wrongly_is_said_both_ways_and_noise_stated_well_is_not() -> None:
@@ -257,22 +257,22 @@ def test_of_many_rows_stretches_on_end_are_asked_in_the_order_of_measurement() -
     place = np.sort(np.argsort(sequence)[some])
     assert place[0] == 0 and place[-1] == 100_002
     ends = np.flatnonzero(np.diff(place) > 1)
-    assert len(ends) == STRETCHES - 1
+    assert len(ends) == TESTED_STRETCHES - 1
     assert np.diff(place)[ends].max() - np.diff(place)[ends].min() <= 1
     np.testing.assert_array_equal(stretches(sequence[:9_000], 10_000), np.arange(9_000))
 
 
-def shuffled(views: list[View]) -> list[list[np.ndarray]]:
+def shuffled(views: list[ResidualView]) -> list[list[np.ndarray]]:
     """The same shuffles of the rows, view by view."""
     rng = np.random.default_rng(0)
     orders = [rng.permutation(len(views[0].white)) for _ in range(SHUFFLES)]
     return [[view.white[order] for order in orders] for view in views]
 
 
-def two_views(n: int) -> list[View]:
+def two_views(n: int) -> list[ResidualView]:
     rng = np.random.default_rng(5)
     wave = 0.3 * np.sin(np.arange(n) / 9.0)[:, None] + np.where(np.arange(n) < n // 3, 0.0, 0.4)[:, None]
-    return [View("so", rng.normal(size=(n, 3))), View("otherwise", wave + rng.normal(size=(n, 1)))]
+    return [ResidualView("so", rng.normal(size=(n, 3))), ResidualView("otherwise", wave + rng.normal(size=(n, 1)))]
 
 
 def test_a_jump_is_the_largest_step_of_the_mean_as_every_place_by_itself_gives_it() -> None:
@@ -282,7 +282,8 @@ def test_a_jump_is_the_largest_step_of_the_mean_as_every_place_by_itself_gives_i
     def largest(white: np.ndarray) -> tuple[float, int]:
         centred = white - white.mean(axis=0)
         steps = {
-            k: float(np.sum(centred[:k].sum(axis=0) ** 2) / (k * (1.0 - k / n))) for k in range(SIDE, n - SIDE + 1)
+            k: float(np.sum(centred[:k].sum(axis=0) ** 2) / (k * (1.0 - k / n)))
+            for k in range(FEWEST_ROWS_OF_A_SIDE, n - FEWEST_ROWS_OF_A_SIDE + 1)
         }
         best = max(steps, key=steps.__getitem__)
         return steps[best], best

@@ -61,7 +61,7 @@ def test_a_joints_own_error_comes_back_as_that_joints_with_its_size_and_shape(ma
     assert own.after.size < 3e-5
     np.testing.assert_allclose(own.before.smooth, 3e-4 * np.sin(2 * own.at), atol=8e-5)
     asked = own.before.rows - own.after.rows  # the noise is the same in both
-    np.testing.assert_allclose(asked, 3e-4 * np.sin(2 * own.seen), rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(asked, 3e-4 * np.sin(2 * own.covariate_values), rtol=1e-4, atol=1e-8)
     others = [t for t in found.joints if t is not own]
     assert all(t.before.size < 0.3 * own.before.size for t in others)
 
@@ -70,7 +70,7 @@ def test_noise_is_traced_to_nothing(machine: tuple[Fit, Dataset]) -> None:
     smallest, outside, few = [], [], []
     for seed in range(20):
         found = traced(machine, white(300, seed))
-        smallest.append(min(t.after.p_value for t in found.strongest) * found.asked)
+        smallest.append(min(t.after.p_value for t in found.strongest) * found.pairs_tested)
         outside.append(np.mean(np.abs(found.order.correlation) > found.order.bound))
         few.append(found.order.p_value)
     assert min(smallest) > 1e-3
@@ -132,7 +132,7 @@ def test_positions_alone_are_traced_as_well(machine: tuple[Fit, Dataset]) -> Non
     traces = trace(found, alone, before, after)
     assert {t.motion for t in traces.strongest} <= {"x", "y", "z", *found.model.robot.names}
     own = next(t for t in traces.joints if t.motion == found.model.robot.names[1])
-    np.testing.assert_allclose(own.before.rows - own.after.rows, 5e-4 * np.cos(own.seen), rtol=1e-4)
+    np.testing.assert_allclose(own.before.rows - own.after.rows, 5e-4 * np.cos(own.covariate_values), rtol=1e-4)
 
 
 def test_what_a_row_does_not_measure_does_not_change_its_sign(machine: tuple[Fit, Dataset]) -> None:

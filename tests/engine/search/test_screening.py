@@ -17,8 +17,8 @@ from aridcal.engine.corrections.effect_kind import turns
 from aridcal.engine.fit.normal_equations import conditional
 from aridcal.engine.search import products, state
 from aridcal.engine.search.evidence import Score, solve
-from aridcal.engine.search.grids import Grid, grid_of, local, moving
-from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.grids import Grid, grid_of, local, moving_slots
+from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.scoring import refine, signed_ranks
 from aridcal.engine.search.screening import score_all, score_without
 from aridcal.engine.search.state import State, activate, by_fold, solve_state, without_effect
@@ -42,7 +42,7 @@ def solved(prepared: bool = True) -> State:
     return solve_state(b, active, np.ones(2), used, fixed=True)
 
 
-def columns_of(made: State, *more: Active) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def columns_of(made: State, *more: ActiveEffect) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Columns and residual in sigmas of the rows in use, and the fold of each number."""
     b, used = made.model, made.used
     X = np.concatenate([b.A, *(a.columns(b) for a in (*made.active, *more))], axis=2)[used]
@@ -182,7 +182,7 @@ def test_a_grid_gives_what_its_columns_give(monkeypatch):
     more = [candidates[1], candidates[6], in_two_places("j2")]
     states = []
     for least in (4, 10**9):  # as grids, and column by column
-        monkeypatch.setattr(products, "GRID", least)
+        monkeypatch.setattr(products, "LEAST_GRID_CANDIDATES", least)
         made = solved()
         b = made.model.prepare([*candidates, *more])
         taken = [activate(made, effect, Score(1.0, 0.0, 3, tau=0.3)) for effect in more]
@@ -223,7 +223,7 @@ def test_a_grid_of_slots_that_move_in_some_rows_alone_gives_what_its_columns_giv
     def made(there: np.ndarray, count: int):
         slots = tuple(rng.normal(size=(n, size, count)) * there[:, None, None] for size in sizes)
         full = [np.einsum("nse,nd->nsed", g, values).reshape(n * g.shape[1], -1) for g in slots]
-        return grid_of(*moving(slots), functions), full
+        return grid_of(*moving_slots(slots), functions), full
 
     first, one = made(np.arange(n) % 3 == 0, 4)
     second, two = made(np.arange(n) % 2 == 0, 1)

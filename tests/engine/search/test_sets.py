@@ -18,8 +18,8 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.levels import PRICE
 from aridcal.engine.search import set_exchange
-from aridcal.engine.search.evidence import NOTHING, Solution
-from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.evidence import NO_SCORE, Solution
+from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.sets import Choices, evidence_of_set
 from aridcal.engine.search.state import State, solve_state
 from aridcal.system.progress import SILENT
@@ -41,8 +41,8 @@ def yielding(joint: str) -> Effect:
 LIBRARY = [curve(joint, order) for joint in JOINTS for order in (1.0, 2.0, 3.0)] + [yielding(joint) for joint in JOINTS]
 
 
-def taken(*effects: Effect) -> list[Active]:
-    return [Active(effect, NOTHING, np.eye(len(effect.coefficients))) for effect in effects]
+def taken(*effects: Effect) -> list[ActiveEffect]:
+    return [ActiveEffect(effect, NO_SCORE, np.eye(len(effect.coefficients))) for effect in effects]
 
 
 def test_the_cost_of_a_set_is_that_of_drawing_it_from_all_sets_of_its_kind():
@@ -125,10 +125,10 @@ def test_another_set_takes_the_place_with_odds_of_20_to_1_or_with_fewer_curves_a
     mine, other = a_set(3), a_set(curves)
     monkeypatch.setattr(set_exchange, "_distant_sets", lambda *_: iter(()))
     monkeypatch.setattr(set_exchange, "_set_of_families", lambda *_: other)
-    monkeypatch.setattr(set_exchange, "grown", lambda state, *_: (state, ()))
-    monkeypatch.setattr(set_exchange, "tidied", lambda state, *_: state)
+    monkeypatch.setattr(set_exchange, "grow", lambda state, *_: (state, ()))
+    monkeypatch.setattr(set_exchange, "tidy", lambda state, *_: state)
     monkeypatch.setattr(set_exchange, "evidence_of_set", lambda state, *_: more if state is other else 0.0)
-    found = set_exchange.regrown(mine, Choices.of([]), SILENT)  # type: ignore[arg-type]
+    found = set_exchange.regrow_sets(mine, Choices.of([]), SILENT)  # type: ignore[arg-type]
     assert found is (other if taken else mine)
 
 

@@ -17,7 +17,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.files.campaign import load_campaign
 from aridcal.files.read import load_measurements

@@ -12,7 +12,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import fit
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.trust.gains import refitted
+from aridcal.engine.trust.gains import refit_coefficients
 
 
 def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:
@@ -35,7 +35,7 @@ def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:
         again = fit(problem(less, data), weight=whole.weight)
         # Both weigh positions and rotations by the noise that the whole model shows.
         fixed = fit(problem(less, robots.declared(data, *whole.sigma)), weight=whole.weight)
-        found = refitted(whole, ~keep, keep)
+        found = refit_coefficients(whole, ~keep, keep)
         assert not found[~keep].any()
         np.testing.assert_allclose(found[keep], fixed.theta, atol=2e-5)
         mine, exact = (
@@ -46,11 +46,11 @@ def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:
         assert exact > 2 * 5e-5  # what is missing is missed
         assert again.estimated[0] > whole.estimated[0]
     every = np.ones(len(model.coefficients), dtype=bool)
-    np.testing.assert_array_equal(refitted(whole, ~every, every), whole.theta)
+    np.testing.assert_array_equal(refit_coefficients(whole, ~every, every), whole.theta)
     # What is neither gone nor free stays; what several take with them adds up.
     parts = [np.array([c in some for c in model.coefficients]) for some in (waves[:2], waves[2:])]
     free = np.array([c in constants for c in model.coefficients])
-    both, *single = (refitted(whole, gone, free) - whole.theta for gone in (parts[0] | parts[1], *parts))
+    both, *single = (refit_coefficients(whole, gone, free) - whole.theta for gone in (parts[0] | parts[1], *parts))
     np.testing.assert_allclose(both, sum(single), atol=1e-12)
     np.testing.assert_array_equal(single[0][parts[1]], 0.0)
 
@@ -81,4 +81,4 @@ def test_a_model_of_whose_coefficients_only_a_sum_is_told_can_lose_others() -> N
     fixed = fit(problem(less, robots.declared(data, *found.sigma)), weight=found.weight)
     exact = problem(less, data).residual(fixed.theta)
     assert np.sqrt(np.mean(exact**2)) > 2 * 5e-5  # what is missing is missed
-    np.testing.assert_allclose(left(refitted(whole, gone, ~gone)), exact, atol=2e-6)  # one Gauss-Newton step
+    np.testing.assert_allclose(left(refit_coefficients(whole, gone, ~gone)), exact, atol=2e-6)  # one Gauss-Newton step

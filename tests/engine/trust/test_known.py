@@ -13,7 +13,7 @@ from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.trust import combinations as of_constants
-from aridcal.engine.trust.combinations import Combination, Pair, known
+from aridcal.engine.trust.combinations import Combination, Pair, identifiability
 from aridcal.engine.trust.halves import PATTERNS
 from aridcal.pages.drawing.parts import combination_in_words, constant_in_words, division_in_words, pair_in_words
 
@@ -29,12 +29,12 @@ def test_sums_and_differences_scatter_from_campaign_to_campaign_as_they_are_said
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Second road: the scatter of the constants of 60 campaigns at the same configurations; less unequal pairs are asked, too."""
-    monkeypatch.setattr(of_constants, "TOGETHER", 1.5)
+    monkeypatch.setattr(of_constants, "PAIR_RATIO", 1.5)
     rng = np.random.default_rng(1)
     truth = robots.simulate(robots.arid(), 40, rng, 1e-3, NOISE)
     exact = truth.model.poses(truth.theta, truth.model.rows(truth.readings))
     found = calibrated(truth)
-    told = known(found, truth.measured)
+    told = identifiability(found, truth.measured)
     assert told is not None
     names, values = list(found.model.names), []
     for _ in range(60):
@@ -53,7 +53,7 @@ def test_sums_and_differences_scatter_from_campaign_to_campaign_as_they_are_said
 def test_combinations_are_independent_and_as_sure_as_the_covariance_says() -> None:
     truth = robots.simulate(robots.arid(), 60, np.random.default_rng(3), 1e-3, NOISE)
     found = calibrated(truth)
-    told = known(found, truth.measured)
+    told = identifiability(found, truth.measured)
     assert told is not None
     own = [found.model.names.index(name) for name in told.names]
     assert not any(name.startswith(("world_base", "tip_target")) for name in told.names)
@@ -78,7 +78,7 @@ def test_constants_that_are_nominal_are_spared_and_those_that_are_off_are_not() 
     R, p = truth.model.poses(theta, truth.model.rows(truth.readings))
     rows = robots.measured(truth.model.robot, truth.readings, p + NOISE * rng.normal(size=p.shape), R)
     found = calibrated(replace(truth, measured=rows))
-    told = known(found, rows)
+    told = identifiability(found, rows)
     assert told is not None
     assert set(off) <= set(told.needed)
     assert len(told.spare) >= 4  # of seven that are nominal; each is kept by chance now and then
@@ -96,7 +96,7 @@ def test_constants_that_are_nominal_are_spared_and_those_that_are_off_are_not() 
 def test_a_fit_of_frames_alone_knows_of_no_constants() -> None:
     truth = robots.simulate(robots.arid(), 40, np.random.default_rng(6), 0.0, NOISE)
     frames = fit(truth.data(truth.model.with_coefficients(robots.FRAMES)))
-    assert known(frames, truth.measured) is None
+    assert identifiability(frames, truth.measured) is None
 
 
 def test_words() -> None:

@@ -12,13 +12,13 @@ import robots
 
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
-from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.noise import covariance_of_rows
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import fit_geometry
-from aridcal.engine.levels import BLOCKS
+from aridcal.engine.levels import JUDGING_FOLDS
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 from aridcal.engine.trust.cross_validation import _shares, folds, influence, rows_of
 
 NOISE = 1e-4
@@ -47,10 +47,10 @@ def of_kind(make: Callable[[gauges.Arm], gauges.Measured], folder: Path) -> tupl
 
 def really_left_out(found: Fit, rows: Dataset, prior: Prior | None = None) -> np.ndarray:
     """Error of each fold's rows, by channel, with all others fitted anew: those of things included, shape (folds, C)."""
-    together = held_together(rows)
-    fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % BLOCKS)[together]
+    together = held_back_groups(rows)
+    fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % JUDGING_FOLDS)[together]
     asked, errors = problem(found.model, rows), []
-    for k in range(BLOCKS):
+    for k in range(JUDGING_FOLDS):
         rest = fit(asked.select(fold != k), found.theta, np.ones(int((fold != k).sum())), prior)
         left = problem(rest.model, rows).select(fold == k).residual(rest.theta)
         parts = np.split(left, np.cumsum([c.size for c in rows.channels])[:-1], axis=1)
@@ -87,8 +87,8 @@ def test_rows_of_an_anchor_that_only_one_fold_knows_are_not_counted(tmp_path: Pa
     found = fit(problem(first.model, rows), first.theta, np.ones(len(rows)))
     told = folds(found, rows, rows_of(found, rows))
     assert told is not None
-    together = held_together(rows)
-    fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % BLOCKS)[together]
+    together = held_back_groups(rows)
+    fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % JUDGING_FOLDS)[together]
     (k,) = np.unique(fold[lone])
     rest, asked = fold != k, problem(found.model, rows)
     again = fit(asked.select(rest), found.theta, np.ones(int(rest.sum())))
@@ -184,6 +184,6 @@ def test_the_share_of_a_row_is_the_same_from_the_few_columns_that_act_in_it(shar
     )  # two stretches; rows with none among them
     J[:, :, 7] = 0.0
     root = rng.normal(size=(60, 60))
-    known = carried(J, root @ root.T)
+    known = covariance_of_rows(J, root @ root.T)
     np.testing.assert_allclose(_shares(J, root @ root.T), known, rtol=1e-10, atol=1e-9)
     assert known.any() == (share > 0.0)

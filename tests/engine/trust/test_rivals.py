@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.confounded import weights
 from aridcal.engine.search.evidence import Score
+from aridcal.engine.search.rival_models import weights
 from aridcal.engine.trust.rival_predictions import Rival
 from aridcal.files.query import load_query
 from aridcal.jobs.apply.joint_commands import compensate
@@ -26,7 +26,7 @@ from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.history.comparison import compare
 from aridcal.jobs.maintain.checking import check
 from aridcal.jobs.maintain.hypotheses import widened
-from aridcal.jobs.maintain.repair import repaired
+from aridcal.jobs.maintain.repair import repair_calibration
 
 STEP = Coefficient("elbow_joint", "axis", Basis("step", ("elbow_joint",), (0.2,)))
 SLOPE = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint",), (0.0,)))
@@ -146,7 +146,7 @@ def test_new_rows_of_a_cause_that_could_not_be_told_are_no_alarm_and_a_joint_tha
     assert check(doubted, rows(0.0)).good
     found = check(doubted, rows(jumped))
     assert [cause.where for cause in found.causes] == [named.final.model.robot.names[3]]
-    assert not repaired(doubted, found).saved.rivals
+    assert not repair_calibration(doubted, found).saved.rivals
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -165,8 +165,8 @@ def test_the_cause_that_was_not_named_is_no_change_between_two_calibrations_and_
     for pair in ((replace(saved, rivals=some), other), (other, replace(saved, rivals=some))):
         assert not compare(*pair).changed
     found = compare(replace(saved, rivals=some), worn)
-    assert [cause.names for cause in found.causes.found] == [("elbow_joint.axis",)]
-    assert found.causes.found[0].value[0] == pytest.approx(3e-3, rel=0.05)
+    assert [cause.names for cause in found.causes.changes] == [("elbow_joint.axis",)]
+    assert found.causes.changes[0].value[0] == pytest.approx(3e-3, rel=0.05)
 
 
 def score(gain: float) -> Score:

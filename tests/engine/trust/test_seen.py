@@ -18,9 +18,18 @@ from aridcal.engine.corrections.loads import Surroundings
 from aridcal.engine.corrections.smooth import Kernel, smooth_precision
 from aridcal.engine.fit.least_squares import fit
 from aridcal.engine.fit.normal_equations import Prior
-from aridcal.engine.fit.problem import BLOCK, problem
+from aridcal.engine.fit.problem import ROWS_PER_BLOCK, problem
 from aridcal.engine.model.model import Model
-from aridcal.engine.trust.coverage import EDGE, FEWEST, NEIGHBOURS, SAME, WIDE, holes, inside, largest
+from aridcal.engine.trust.coverage import (
+    EDGE,
+    FEWEST_STEPS_AROUND_HOLE,
+    HOLE_FACTOR,
+    NEIGHBOURING_STEPS,
+    SAME_VALUE_SHARE,
+    holes,
+    in_ranges,
+    largest,
+)
 from aridcal.jobs.apply.target_poses import predict, read_query
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
@@ -47,7 +56,7 @@ def test_rows_like_those_seen_are_in_no_hole(how: str, n: int) -> None:
     flagged = []
     for _ in range(60):
         q, unseen = (np.array([draws(rng, how, k) for _ in range(6)]) for k in (n, 100))
-        flagged.append(np.any([inside(u, holes(v)) for u, v in zip(unseen, q, strict=True)], axis=0).mean())
+        flagged.append(np.any([in_ranges(u, holes(v)) for u, v in zip(unseen, q, strict=True)], axis=0).mean())
     assert np.mean(flagged) < (0.12 if (how, n) == ("thinning out", 50) else 0.05)
 
 
@@ -58,7 +67,7 @@ def test_a_hole_is_found_whole(n: int) -> None:
     for _ in range(40):
         q = rng.uniform(-LIMIT, LIMIT, 2 * n)
         q = q[np.abs(q) > 0.3][:n]
-        found.append(inside(rng.uniform(-0.3, 0.3, 100), holes(q)).mean())
+        found.append(in_ranges(rng.uniform(-0.3, 0.3, 100), holes(q)).mean())
     assert np.mean(found) > 0.95
 
 
@@ -67,10 +76,10 @@ def test_every_hole_is_found_and_nothing_beside_it() -> None:
     (a, b), (c, d) = holes(values)
     assert 1.0 < a < 1.05 and 2.95 < b < 3.0
     assert 4.0 < c < 4.05 and 4.45 < d < 4.5
-    assert inside(np.array([0.5, 1.0, 2.0, 3.0, 4.2, 4.5, 6.0]), ((a, b), (c, d))).tolist() == [
+    assert in_ranges(np.array([0.5, 1.0, 2.0, 3.0, 4.2, 4.5, 6.0]), ((a, b), (c, d))).tolist() == [
         False, False, True, False, True, False, False
     ]  # fmt: skip
-    assert not inside(np.array([1.0, np.nan]), ()).any()
+    assert not in_ranges(np.array([1.0, np.nan]), ()).any()
 
 
 @pytest.mark.parametrize(
@@ -89,7 +98,7 @@ def test_a_step_counts_as_wide_in_any_unit() -> None:
     ((low, high),) = holes(values)
     ((other_low, other_high),) = holes(1e4 * values)
     np.testing.assert_allclose([other_low, other_high], [1e4 * low, 1e4 * high], rtol=1e-12)
-    assert high - low > WIDE * 1 / 60
+    assert high - low > HOLE_FACTOR * 1 / 60
 
 
 def solved(n: int = 30) -> tuple[SolvedModel, np.ndarray]:
@@ -117,8 +126,8 @@ def test_standard_deviations_are_the_scatter_of_drawn_coefficients() -> None:
 
 
 def test_many_rows_have_the_deviations_of_each() -> None:
-    found, q = solved(2 * BLOCK + 7)
-    some = np.array([0, BLOCK - 1, BLOCK, 2 * BLOCK + 6])
+    found, q = solved(2 * ROWS_PER_BLOCK + 7)
+    some = np.array([0, ROWS_PER_BLOCK - 1, ROWS_PER_BLOCK, 2 * ROWS_PER_BLOCK + 6])
     np.testing.assert_allclose(found.std(q)[some], found.std(q[some]), rtol=1e-12)
     assert found.std(q[:0]).shape == (0, 6)
 
@@ -222,12 +231,14 @@ def test_holes_are_those_of_the_definition_step_by_step(how: str) -> None:
         rng = np.random.default_rng(seed)
         values = np.sort(draws(rng, how, n))
         values[n // 2 :] += 1.0
-        apart = np.flatnonzero(np.diff(values) > SAME * (values[-1] - values[0]))
+        apart = np.flatnonzero(np.diff(values) > SAME_VALUE_SHARE * (values[-1] - values[0]))
         low, high = values[apart], values[apart + 1]
         expected = []
         for k, step in enumerate(high - low):
-            around = np.delete((high - low)[max(k - NEIGHBOURS, 0) : k + 1 + NEIGHBOURS], min(k, NEIGHBOURS))
-            if len(around) >= FEWEST and step > WIDE * around.mean():
+            around = np.delete(
+                (high - low)[max(k - NEIGHBOURING_STEPS, 0) : k + 1 + NEIGHBOURING_STEPS], min(k, NEIGHBOURING_STEPS)
+            )
+            if len(around) >= FEWEST_STEPS_AROUND_HOLE and step > HOLE_FACTOR * around.mean():
                 expected.append((low[k] + EDGE * around.mean(), high[k] - EDGE * around.mean()))
         np.testing.assert_allclose(
             np.array(holes(values)).reshape(-1, 2), np.array(expected).reshape(-1, 2), rtol=1e-12

@@ -20,17 +20,23 @@ from aridcal.command_line import BAD_INPUT, DONE, NOT_GOOD
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.engine.fit.noise import repeats
-from aridcal.engine.fit.problem import BLOCK, problem
+from aridcal.engine.fit.problem import ROWS_PER_BLOCK, problem
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.certainty import as_document
-from aridcal.engine.trust.tolerance import Beyond, Kept, beyond, instrument_noise, kept
+from aridcal.engine.trust.tolerance import (
+    ExcessError,
+    ToleranceAnswer,
+    excess_error,
+    instrument_noise,
+    tolerance_answer,
+)
 from aridcal.engine.trust.workspace import knowledge, spread_out
 from aridcal.files.campaign import Campaign
 from aridcal.files.measurement_settings import LENGTHS, SMALL_ANGLES, with_unit
 from aridcal.files.yaml_file import parse_settings
 from aridcal.jobs.calibrate.pipeline import identify as run
-from aridcal.jobs.calibrate.region import region
-from aridcal.pages.drawing.words import kept_in_words
+from aridcal.jobs.calibrate.tolerance_region import region
+from aridcal.pages.drawing.words import tolerance_in_words
 from aridcal.system.errors import CampaignError
 
 NOISE = 1e-4
@@ -44,7 +50,7 @@ def measured(truth: robots.Truth, q: np.ndarray, rng: np.random.Generator, jitte
     return replace(robots.measured(truth.model.robot, q, p, R), test=np.arange(len(q)) % 5 == 0)
 
 
-def certain(found: Fit, rows: Dataset, where: np.ndarray | None = None) -> tuple[Kept, np.ndarray]:
+def certain(found: Fit, rows: Dataset, where: np.ndarray | None = None) -> tuple[ToleranceAnswer, np.ndarray]:
     """What is said of the position over a region, or over the box of what was measured, and the region's readings."""
     train, tool = rows.select(rows.train), (0.0, 0.0, 0.0)
     known = knowledge(found, train, (*robots.FRAMES, *constants(found.model.robot, "full")))
@@ -52,7 +58,7 @@ def certain(found: Fit, rows: Dataset, where: np.ndarray | None = None) -> tuple
     place = known.over(train, q, np.zeros(len(q), dtype=int), tool)
     place = place.select(place.measured)
     residual = problem(found.model, rows).residual(found.theta)
-    left = beyond(
+    left = excess_error(
         found,
         rows,
         rows.test,
@@ -62,7 +68,7 @@ def certain(found: Fit, rows: Dataset, where: np.ndarray | None = None) -> tuple
         tool,
         False,
     )
-    answer = kept(known, place, known.columns(place.rows, np.zeros(3))[1:], left, None, False)
+    answer = tolerance_answer(known, place, known.columns(place.rows, np.zeros(3))[1:], left, None, False)
     assert answer is not None
     return answer, place.readings
 
@@ -139,11 +145,11 @@ def answers(
     truth, found = arm()
     rows = truth.measured
     exact = replace(found, covariance=1e-20 * found.covariance)
-    left = Beyond(float(np.mean(sizes**2)), 0.0, 0.0, 1e9, np.linalg.norm(sizes, axis=1), True, True)
+    left = ExcessError(float(np.mean(sizes**2)), 0.0, 0.0, 1e9, np.linalg.norm(sizes, axis=1), True, True)
     known = knowledge(exact, rows, ())
     place = known.over(rows, np.resize(rows.readings, (400, 4)), np.zeros(400, dtype=int))
     place = replace(place, measured=where(np.ones(400, dtype=bool)))
-    answer = kept(known, place, known.columns(place.rows, np.zeros(3))[1:], left, tolerance, False)
+    answer = tolerance_answer(known, place, known.columns(place.rows, np.zeros(3))[1:], left, tolerance, False)
     assert answer is not None
     return answer.bound, answer.reasons
 
@@ -178,14 +184,14 @@ def test_flagged_rows_count_as_off() -> None:
     outlier = rows.test & (np.cumsum(rows.test) <= 4)  # of 20 held-out rows
     residual = problem(first.model, rows).residual(first.theta)
     left = [
-        beyond(first, rows, rows.test, o, residual, np.full(2, NOISE), (0.0, 0.0, 0.0), False)
+        excess_error(first, rows, rows.test, o, residual, np.full(2, NOISE), (0.0, 0.0, 0.0), False)
         for o in (outlier, np.zeros_like(outlier))
     ]
     assert left[0] is not None and left[1] is not None
     known = knowledge(first, truth.measured, ())
     place = known.over(truth.measured, truth.readings, np.arange(len(truth.readings)))
     moves = known.columns(place.rows, np.zeros(3))[1:]
-    said = [kept(known, place, moves, part, 1e-2, False) for part in left]
+    said = [tolerance_answer(known, place, moves, part, 1e-2, False) for part in left]
     assert [part is not None and part.within for part in said] == [False, True]
     assert said[0] is not None and "4 of 20 held-out rows are off by more" in said[0].reasons[0]
 
@@ -202,8 +208,8 @@ def test_what_turns_the_target_moves_a_point_beside_it() -> None:
     )
     residual = problem(first.model, rows).residual(first.theta)
 
-    def left(tool: tuple[float, float, float], turn: bool = False) -> Beyond:
-        found = beyond(first, rows, rows.test, ~rows.test, residual, np.full(2, NOISE), tool, turn)
+    def left(tool: tuple[float, float, float], turn: bool = False) -> ExcessError:
+        found = excess_error(first, rows, rows.test, ~rows.test, residual, np.full(2, NOISE), tool, turn)
         assert found is not None
         return found
 
@@ -221,7 +227,7 @@ def test_what_was_not_measured_is_not_within() -> None:
 
 
 def test_fewer_rows_leave_more_open() -> None:
-    few, many = (Beyond(4e-8, 1e-8, 1e-8, nu, np.zeros(1), True, True) for nu in (10.0, 1000.0))
+    few, many = (ExcessError(4e-8, 1e-8, 1e-8, nu, np.zeros(1), True, True) for nu in (10.0, 1000.0))
     assert few.sigma == many.sigma == pytest.approx(np.sqrt(2e-8))
     drawn = [part.drawn(4000, np.random.default_rng(0)) for part in (few, many)]
     assert np.quantile(drawn[0], 0.95) > 1.3 * np.quantile(drawn[1], 0.95)
@@ -348,7 +354,7 @@ def test_a_campaigns_own_tolerance_counts_and_rotations_are_judged_too(tmp_path:
             tmp_path, truth, measurements=made, tolerance={"position": "1mm", "rotation": turn}
         )
         known = run(path).certainty
-        assert [part.within for part in known.kept] == [True, good]
+        assert [part.within for part in known.tolerances] == [True, good]
         assert known.within == good
 
 
@@ -358,9 +364,9 @@ def test_what_no_row_tells_is_not_within(tmp_path: Path) -> None:
     made = {"file": "measurements.csv", "kind": "position", "noise": {"position": NOISE}}
     path = robots.write_campaign(tmp_path, truth, measurements=made, tolerance={"position": "1mm", "rotation": "1rad"})
     outcome = run(path)
-    assert [part.within for part in outcome.certainty.kept] == [True, False]
+    assert [part.within for part in outcome.certainty.tolerances] == [True, False]
     assert not outcome.certainty.within
-    good, words = kept_in_words(outcome, asked=True)[1]
+    good, words = tolerance_in_words(outcome, asked=True)[1]
     assert not good and words.endswith("in 95 % of the range that was measured: no row tells the target's rotation.")
     assert as_document(outcome.certainty)["region"]["rotation"]["within"] is False
 
@@ -376,7 +382,7 @@ def test_without_held_out_rows_the_fitted_ones_judge_with_their_freedom() -> Non
         found = fit(problem(first.model, rows), first.theta, np.ones(40))
         residual = problem(found.model, rows).residual(found.theta)
         nothing = np.zeros(40, dtype=bool)
-        left = beyond(found, rows, ~nothing, nothing, residual, np.full(2, NOISE), (0.0, 0.0, 0.0), False)
+        left = excess_error(found, rows, ~nothing, nothing, residual, np.full(2, NOISE), (0.0, 0.0, 0.0), False)
         assert left is not None and not left.held_out
         sizes.append(left.sigma)
     q = robots.readings(truth.model.robot, 500, np.random.default_rng(0))
@@ -394,12 +400,12 @@ def test_rows_judged_in_stretches_are_judged_as_all_at_once(turn: bool) -> None:
     """Of many rows covariances are worked out some at a time: the sums are those of each row by itself."""
     truth, first = arm()
     rng = np.random.default_rng(7)
-    count = 2 * BLOCK + 100
+    count = 2 * ROWS_PER_BLOCK + 100
     rows = measured(truth, robots.readings(truth.model.robot, count, rng), rng)
     odd = rng.random(count) < 0.01
     residual, tool = problem(first.model, rows).residual(first.theta), np.array([0.1, 0.2, -0.3])
     judging = rng.random(count) < 0.9
-    found = beyond(first, rows, judging, odd, residual, np.full(2, NOISE), tuple(tool.tolist()), turn)
+    found = excess_error(first, rows, judging, odd, residual, np.full(2, NOISE), tuple(tool.tolist()), turn)
     assert found is not None
     own = np.flatnonzero(judging & ~odd)
     R, _, J = first.model.jacobian(first.theta, problem(first.model, rows).rows[own])

@@ -14,10 +14,10 @@ from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.engine.fit.noise import repeats
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.uncertainty import outliers, precision, target_sigma, with_noise_seen
+from aridcal.engine.trust.uncertainty import outliers, precision, target_sigma, with_contradicted_noise
 
 
 def example(n: int = 200, noise: float = 1e-4, seed: int = 0) -> tuple[robots.Truth, Fit, Dataset]:
@@ -133,7 +133,7 @@ def test_sigma_of_the_target_is_its_scatter_though_the_noise_of_positions_was_st
         rows = robots.declared(again(truth, rng).measured, stated, 1e-4)
         asked = problem(first.model, rows)
         plain = fit(asked, weight=np.ones(len(asked)))
-        found = with_noise_seen(plain, rows)
+        found = with_contradicted_noise(plain, rows)
         assert (found is plain) == (stated >= 1e-4)
         predicted.append(target_sigma(found, query)[0])
         places.append(found.model.poses(found.theta, query)[1])
@@ -149,7 +149,7 @@ def test_precision_is_that_of_the_rows() -> None:
     result = precision(found, data)
     draws = rng.multivariate_normal(found.theta, found.covariance, 300)
 
-    def drawn(rows: Rows) -> np.ndarray:
+    def drawn(rows: ModelRows) -> np.ndarray:
         return worst(np.array([model.poses(theta, rows)[1] for theta in draws]))
 
     assert np.median(result.position / drawn(model.rows(data.readings))) == pytest.approx(1.0, abs=0.05)

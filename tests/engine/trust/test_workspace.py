@@ -19,7 +19,15 @@ from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.workspace import TOLD, Knowledge, Workspace, ends, knowledge, spread_out, worst_direction
+from aridcal.engine.trust.workspace import (
+    KNOWN_TARGET_SIGMA,
+    Knowledge,
+    Workspace,
+    ends,
+    knowledge,
+    spread_out,
+    worst_direction,
+)
 from aridcal.system.errors import AridcalError
 
 NOISE = 1e-4
@@ -98,10 +106,10 @@ def test_the_worst_direction_is_the_worst_and_turns_with_the_base() -> None:
 def test_a_point_beside_a_target_whose_turns_nobody_saw_is_not_known(kind: str, told: bool) -> None:
     _, found, rows = calibrated(kind)
     q = robots.readings(found.model.robot, 20, np.random.default_rng(1))
-    assert looked(found, rows, q)[1].told.all()
+    assert looked(found, rows, q)[1].observable.all()
     beside = looked(found, rows, q, TOOL)[1]
-    assert beside.told.all() == told and beside.told.any() == told
-    assert (beside.sigma < TOLD).all() == told
+    assert beside.observable.all() == told and beside.observable.any() == told
+    assert (beside.sigma < KNOWN_TARGET_SIGMA).all() == told
 
 
 def test_what_nobody_can_tell_of_a_target_does_not_make_it_unsure() -> None:
@@ -119,17 +127,17 @@ def test_the_scale_of_points_is_known_if_a_length_is(tmp_path: Path) -> None:
     for tied in (True, False):
         arm = gauges.arm()
         outcome = gauges.outcome(tmp_path, arm, gauges.rows(arm, gauges.points(arm, tied=tied), declared=True))
-        assert outcome.certainty.anywhere.told.all() == tied
-        assert outcome.certainty.anywhere.told.any() == tied
-        assert np.isfinite(outcome.certainty.kept[0].bound) == tied
+        assert outcome.certainty.anywhere.observable.all() == tied
+        assert outcome.certainty.anywhere.observable.any() == tied
+        assert np.isfinite(outcome.certainty.tolerances[0].bound) == tied
 
 
 def test_a_camera_on_the_arm_tells_of_the_tip_by_convention(tmp_path: Path) -> None:
     """Its mounting takes up what the last link is off by: that must not make the whole arm unknown."""
     arm = gauges.arm()
     known = gauges.outcome(tmp_path, arm, gauges.rows(arm, gauges.pixels(arm), declared=True)).certainty
-    assert known.anywhere.told.all() and known.anywhere.turns_told.all()
-    assert np.isfinite([part.bound for part in known.kept]).all()
+    assert known.anywhere.observable.all() and known.anywhere.turns_told.all()
+    assert np.isfinite([part.bound for part in known.tolerances]).all()
 
 
 def test_what_is_unlike_the_rows_is_marked_and_less_sure() -> None:

@@ -11,14 +11,14 @@ import pytest
 from photographs import INTRINSICS, SIZE, looking, photograph, pixels_of
 
 from aridcal.detect import main
-from aridcal.jobs.boards.camera_file import known_camera
-from aridcal.jobs.boards.finders import Found, find
+from aridcal.jobs.boards.camera_file import camera_by_name
+from aridcal.jobs.boards.finders import ImageMarks, find
 from aridcal.jobs.boards.lens import estimate
 from aridcal.jobs.boards.options import ALL_BOARDS, board_of
 from aridcal.jobs.boards.patterns import FACES, Cube, Tags, drawing, marks
 from aridcal.jobs.boards.sheet import on_paper, svg
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.jobs.head1992.square import UNIT
+from aridcal.jobs.head1992.square import UNIT_CORNERS
 
 cv2.setNumThreads(1)
 BOARDS = {what: board_of(what, options) for what, options in ALL_BOARDS.items()}
@@ -41,7 +41,7 @@ def places_on_the_sheet(what: str) -> dict[str, np.ndarray]:
     middle = np.array([2.1, 1.7]) * board.side  # of a net of 4.2 x 3.4 sides, tabs of a fifth among them
     found = {}
     for k, (_, _, place) in enumerate(FACES):
-        corners = board.side * (np.array(place) + [1.5, 1.7]) - middle + board.tag * UNIT
+        corners = board.side * (np.array(place) + [1.5, 1.7]) - middle + board.tag * UNIT_CORNERS
         found |= {f"tag{k}_{n + 1}": np.r_[corner, 0] for n, corner in enumerate(corners)}
     return found
 
@@ -72,7 +72,7 @@ def drawn_camera(rng: np.random.Generator) -> tuple[np.ndarray, tuple[int, int]]
     return np.array([f, f * rng.uniform(0.99, 1.01), *middle, *bend]), (640, 480)
 
 
-def circles_seen(seed: int, views: int, **light: float) -> tuple[list[Found], list[np.ndarray], np.ndarray]:
+def circles_seen(seed: int, views: int, **light: float) -> tuple[list[ImageMarks], list[np.ndarray], np.ndarray]:
     """Grids of circles as a drawn camera sees them, how far each circle is from where OpenCV projects it, and the camera."""
     rng = np.random.default_rng([7, seed])
     camera, size = drawn_camera(rng)
@@ -235,7 +235,7 @@ def test_images_and_joints_make_a_complete_table_of_pixels_with_its_camera(image
 def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, tmp_path):
     assert main([str(images), "-o", str(tmp_path / "c.csv")]) == 0
     text = (tmp_path / "camera.yaml").read_text()
-    camera = known_camera(tmp_path / "camera.yaml", "eye")
+    camera = camera_by_name(tmp_path / "camera.yaml", "eye")
     assert (camera.width, camera.height, camera.on) == (*SIZE, "tip")
     focal, middle = (
         float(part.split()[0]) for part in text.replace("fx fy ", "|").replace("cx cy ", "|").split("|")[1:3]
@@ -249,7 +249,7 @@ def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, t
 def test_tags_alone_tell_the_camera_too(tmp_path):
     shots(tmp_path / "cube", "cube", 10)
     assert main([str(tmp_path / "cube"), "--board", "apriltag", "-o", str(tmp_path / "c.csv")]) == 0
-    camera = known_camera(tmp_path / "camera.yaml", "eye")
+    camera = camera_by_name(tmp_path / "camera.yaml", "eye")
     assert np.allclose(camera.intrinsics[:2] / INTRINSICS[:2], 1, atol=0.01)
 
 
@@ -268,7 +268,7 @@ def test_an_image_of_another_board_is_refused_when_the_camera_is_known(images, t
             assert (out.parent / "camera.yaml").read_bytes() == (tmp_path / "camera.yaml").read_bytes()
     assert main([str(images), "--intrinsics", str(tmp_path / "camera.yaml"), "-o", str(tmp_path / "c.csv")]) == 0
     assert (
-        known_camera(tmp_path / "camera.yaml", "eye").width == SIZE[0]
+        camera_by_name(tmp_path / "camera.yaml", "eye").width == SIZE[0]
     )  # not lost where it is beside the table already
 
 

@@ -10,7 +10,7 @@ from heads import ARID, MODEL, START, T_TIP_CAMERA, T_WORLD_BASE, THETA, poses, 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import Convergence, Fit
 from aridcal.engine.model.model import Model
-from aridcal.jobs.calibrate.closed_form import closed_form
+from aridcal.jobs.calibrate.doty_answer import closed_form
 
 LINKS = ("joint_1.beta", "joint_1.alpha", "joint_2.beta", "joint_2.a", "joint_2.alpha", "joint_3.beta", "joint_3.a")
 

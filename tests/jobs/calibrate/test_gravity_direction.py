@@ -11,7 +11,7 @@ from tilted import geometric, measured
 
 from aridcal.engine.search.loop import calibrated_arm, fit_constants
 from aridcal.jobs.calibrate.gravity_direction import gravity_direction
-from aridcal.jobs.calibrate.pipeline import judged
+from aridcal.jobs.calibrate.pipeline import judge_arm
 from aridcal.system.progress import SILENT
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -43,6 +43,6 @@ def test_the_setting_is_said_before_all_that_may_follow_from_it() -> None:
     arm = calibrated_arm(
         asked.question, robots.ur10(), rows, (), fit_constants(asked.question, robots.ur10(), rows, ()), SILENT
     )
-    said = judged(arm).verdict
+    said = judge_arm(arm).verdict
     assert said.word == "structure_remains"
     assert "robot.gravity" in said.reasons[0]

@@ -127,7 +127,7 @@ def test_compare_sees_a_zero_that_moved_on_either_limb(
     assert not compare(first, tracked(tmp_path / "same", 2).model).changed
     for joint in ("left_j3", "right_j3"):
         found = compare(first, tracked(tmp_path / joint, 3, joint).model)
-        (cause,) = found.causes.found
+        (cause,) = found.causes.changes
         assert any(line.startswith(f"changed: {cause.words} by +") for line in lines(found))
         assert cause.words == f"the zero of {joint} (limb to {joint.partition('_')[0]}_hand)"
         np.testing.assert_allclose(cause.value, 2e-3, rtol=0, atol=4 * float(cause.std[0]))

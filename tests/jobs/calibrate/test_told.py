@@ -11,7 +11,7 @@ import pytest
 import robots
 import yaml
 
-from aridcal.engine.trust.workspace import TOLD
+from aridcal.engine.trust.workspace import KNOWN_TARGET_SIGMA
 from aridcal.jobs.apply.target_poses import predict, read_query, uncertainty
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
@@ -72,7 +72,7 @@ def test_what_the_file_says_is_what_the_report_says(stood: tuple[Outcome, SavedM
     there = outcome.certainty.anywhere
     table = pd.DataFrame(there.readings, columns=list(saved.final.model.robot.readings))
     made = predict(saved, read_query(saved, table))
-    np.testing.assert_array_equal(made["told"], there.told & there.turns_told)
+    np.testing.assert_array_equal(made["told"], there.observable & there.turns_told)
     assert 0.0 < made["told"].mean() < 1.0
 
 
@@ -94,7 +94,7 @@ def test_other_constants_predict_something_else_there_and_nowhere_else(stood: tu
         )
         assert at_rows < 1e-6
         moved.append(elsewhere)
-    assert max(moved) > 1e-3 * TOLD
+    assert max(moved) > 1e-3 * KNOWN_TARGET_SIGMA
 
 
 def test_where_all_joints_moved_nothing_is_said_of_it(tmp_path: Path) -> None:

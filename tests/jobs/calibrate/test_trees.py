@@ -18,7 +18,7 @@ from two_arms import readings
 import aridcal
 import aridcal.compensate
 from aridcal.engine.corrections.catalogue import candidates
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.fit.constants import urdf_of
 from aridcal.engine.robot.chain import parse_robot, with_limbs
 from aridcal.files.campaign import load_campaign, nominal_robot
@@ -420,7 +420,7 @@ def test_couplings_and_curves_without_a_name_stay_within_a_limb() -> None:
     """Against the tree that the URDF has: joints of two limbs depend on one another only where one hangs from the other."""
     robot = with_limbs(parse_robot(two_arms.urdf(), "left_hand", "torso"), ["right_hand", "camera"])
     table = dict(zip(robot.readings, readings(two_arms.machine(), 50).T, strict=True)) | {"humidity": np.arange(50.0)}
-    offered = candidates(Observed(robot, table, ("humidity",)), ["joint_coupling", "unknown"])
+    offered = candidates(ObservedRows(robot, table, ("humidity",)), ["joint_coupling", "unknown"])
     tree = pin.buildModelFromXML(two_arms.urdf().decode())
     for effect in offered:
         for name in {*effect.covariates, effect.with_} - {None, "humidity"}:

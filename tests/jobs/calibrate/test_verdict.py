@@ -19,7 +19,7 @@ from aridcal.jobs.calibrate.folder import result_document
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.verdict import NOISE_UNKNOWN, decide, row_clues
-from aridcal.pages.report.first_screen import BELOW, NO_BETTER
+from aridcal.pages.report.first_screen import BELOW, NO_RELIABLE_MODEL
 from aridcal.pages.report.first_screen import summary as first_screen
 from aridcal.pages.report.trust_checks import checks
 
@@ -141,12 +141,12 @@ def test_word_share_and_reasons_never_contradict_one_another(
     assert any("no known cause" in reason for reason in found.reasons) == (UNKNOWN in effects)
 
 
-@pytest.mark.parametrize(("noise", "words"), [(SIGMA, NO_BETTER), (4e-4, BELOW.format("the declared noise"))])
+@pytest.mark.parametrize(("noise", "words"), [(SIGMA, NO_RELIABLE_MODEL), (4e-4, BELOW.format("the declared noise"))])
 def test_a_noise_above_what_remains_is_not_called_a_floor(noise: float, words: str, tmp_path: Path) -> None:
     """What was 0.329 mm now stood beside a noise that made 1.26 mm."""
     shown = "".join(str(part) for part in first_screen(identify(campaign(tmp_path, noise=noise))))
     assert words.strip() in shown
-    assert (NO_BETTER.strip() in shown) != (BELOW.format("the declared noise").strip() in shown)
+    assert (NO_RELIABLE_MODEL.strip() in shown) != (BELOW.format("the declared noise").strip() in shown)
 
 
 def test_flagged_rows_of_one_place_are_said_with_that_place(tmp_path: Path) -> None:

@@ -26,12 +26,12 @@ from aridcal.files.yaml_file import load_settings
 from aridcal.fleet import main
 from aridcal.jobs.fleet import work
 from aridcal.jobs.fleet.cluster import dask_engine
-from aridcal.jobs.fleet.in_process import Broken, EngineGone, here
 from aridcal.jobs.fleet.keys import files_of, inputs_of
+from aridcal.jobs.fleet.local_engine import EngineGone, WorkFailure, run_tasks
 from aridcal.jobs.fleet.members import members
-from aridcal.jobs.fleet.run_record import SCHEMA, row_in
+from aridcal.jobs.fleet.run_record import RUN_SCHEMA, row_of_folder
 from aridcal.jobs.fleet.run_table import merged, read_rows
-from aridcal.jobs.fleet.runs import FleetPlan, FleetResults, computed, planned
+from aridcal.jobs.fleet.runs import FleetPlan, FleetResults, computed, plan_runs
 from aridcal.jobs.fleet.work import Task, calibrated
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
@@ -83,10 +83,10 @@ def plant(three: Path, tmp_path: Path) -> Path:
 
 
 def plan(home: Path, pattern: str = "robots/*/campaign.yaml") -> FleetPlan:
-    return planned(members([str(home / pattern)], home / "fleet"), home / "fleet", write_folder, SILENT)
+    return plan_runs(members([str(home / pattern)], home / "fleet"), home / "fleet", write_folder, SILENT)
 
 
-def run_here(home: Path, engine: Any = here) -> FleetResults:
+def run_here(home: Path, engine: Any = run_tasks) -> FleetResults:
     (home / "fleet").mkdir(exist_ok=True)
     return computed(plan(home), engine, SILENT)
 
@@ -119,8 +119,8 @@ def test_each_robot_has_its_result_folder_and_its_row(three: Path) -> None:
 def test_the_table_has_the_columns_that_the_formats_promise(three: Path) -> None:
     text = (ROOT / "docs" / "formats.md").read_text("utf-8").split("## 8. A fleet's folder")[1]
     table = pyarrow.parquet.read_table(three / "fleet" / "fleet.parquet")
-    assert table.schema.names == SCHEMA.names
-    for field in SCHEMA:
+    assert table.schema.names == RUN_SCHEMA.names
+    for field in RUN_SCHEMA:
         assert f"| `{field.name}` |" in text
         if str(field.type).startswith("list<item: struct"):
             line = next(line for line in text.splitlines() if line.startswith(f"| `{field.name}` |"))
@@ -148,7 +148,7 @@ def test_another_input_is_another_run_and_earlier_rows_stay(plant: Path, changed
     path.write_text(path.read_text() + "\n")
     asked = plan(plant)
     assert [task.robot for task in asked.tasks.values()] == ["arm-1"]
-    ran = computed(asked, here, SILENT)
+    ran = computed(asked, run_tasks, SILENT)
     assert [row["robot"] for row in ran.rows].count("arm-1") == 2
     assert len({row["key"] for row in ran.rows}) == 4
 
@@ -231,7 +231,7 @@ def test_a_killed_fleet_leaves_rows_in_its_folders_which_the_next_one_takes_up(p
 @pytest.mark.parametrize("spoilt", ["{", "[]", '{"robot": 3}', ""])
 def test_a_row_that_cannot_be_read_is_no_row(plant: Path, spoilt: str) -> None:
     (plant / "fleet" / "arm-0" / "fleet.json").write_text(spoilt)
-    assert row_in(plant / "fleet" / "arm-0") is None
+    assert row_of_folder(plant / "fleet" / "arm-0") is None
     assert [task.robot for task in plan(plant).tasks.values()] == ["arm-0"]
 
 
@@ -257,7 +257,7 @@ def task_of(plant: Path, robot: str, key: str | None = None) -> Task:
 def test_a_worker_takes_the_result_of_one_that_died_after_writing(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(work, "identify", lambda *_, **__: pytest.fail("computed twice"))
     row = calibrated(task_of(plant, "arm-0"))
-    assert row == row_in(plant / "fleet" / "arm-0")
+    assert row == row_of_folder(plant / "fleet" / "arm-0")
 
 
 def test_a_worker_waits_for_one_that_was_thought_dead_and_takes_its_result(
@@ -419,7 +419,7 @@ def test_history_reads_what_the_fleet_wrote_month_by_month(tmp_path: Path) -> No
             path = made(tmp_path / str(month) / f"arm-{k}", seed=10 * month + k, beta=2e-3 + 1e-3 * month * k)
             path.open("a").write(f'about: {{date: "2026-0{month + 1}-15"}}\n')
         pattern = members([str(tmp_path / str(month) / "*" / "campaign.yaml")], tmp_path / "fleet")
-        ran = computed(planned(pattern, tmp_path / "fleet", noted, SILENT), here, SILENT)
+        ran = computed(plan_runs(pattern, tmp_path / "fleet", noted, SILENT), run_tasks, SILENT)
     found = aridcal.history(tmp_path)
     assert dict(zip(found.robots["robot"], found.robots["runs"], strict=True)) == {"arm-0": 3, "arm-1": 3}
     wears = found.constants.query("robot == 'arm-1' and name == 'joint_2.beta'")
@@ -514,7 +514,7 @@ def test_progress_says_how_many_are_done_how_many_failed_and_how_long_it_takes(p
     ticks = iter(range(0, 100000, 10))
     (plant / "robots" / "arm-0" / "measurements.csv").write_text("x\n1\n")
     (plant / "robots" / "arm-1" / "campaign.yaml").open("a").write("# again\n")
-    computed(plan(plant), here, Progress(said.append, clock=lambda: float(next(ticks))))
+    computed(plan(plant), run_tasks, Progress(said.append, clock=lambda: float(next(ticks))))
     assert any(line.startswith("arm-0 failed: ") for line in said)
     assert any(
         "1 of 2 robots, 1 failed, " in line and line.endswith(" left") and line.count("left") == 1 for line in said
@@ -548,7 +548,7 @@ def test_a_fleet_that_is_stopped_leaves_nothing_half_written_and_goes_on(plant: 
     assert sorted(path.name for path in out.iterdir()) == ["arm-0", "arm-1", "arm-2", "fleet.parquet"]
     left = [task.robot for task in plan(plant).tasks.values()]
     assert "arm-2" in left and len(left) < 3
-    assert computed(plan(plant), here, SILENT).failed == {}
+    assert computed(plan(plant), run_tasks, SILENT).failed == {}
     assert plan(plant).tasks == {}
 
 
@@ -648,7 +648,7 @@ def test_a_worker_and_the_scheduler_die_and_every_task_is_answered_once(
         over.set()
         killing.join()
     assert answers == {
-        f"task-{name}": Broken("ValueError: on purpose") if name == "raises" else name.upper() for name in names
+        f"task-{name}": WorkFailure("ValueError: on purpose") if name == "raises" else name.upper() for name in names
     }
     assert (marks / "dies-at-first").read_text() == (marks / "holds-at-first").read_text() == "xx"
     assert any("connection to the scheduler broke" in line for line in said)

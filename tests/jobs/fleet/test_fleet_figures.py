@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aridcal.jobs.fleet.drifting import chance_of, drifting, freedom_of
-from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, quantile_of_largest, standing_out
+from aridcal.jobs.fleet.drifts import chance_of, drifting, freedom_of
+from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, outlying_robots, quantile_of_largest
 from aridcal.jobs.fleet.runs import FleetResults
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.fleet_page import fleet_page
@@ -55,7 +55,7 @@ def row(robot: str, rng: np.random.Generator, month: int = 0, scatter: float = 1
 def test_of_fleets_that_are_alike_one_in_a_hundred_has_a_robot_named(n: int) -> None:
     """Of 400 fleets 4 are expected; more than 11 come by chance once in a thousand times."""
     rng = np.random.default_rng(n)
-    told = sum(bool(standing_out([row(f"r{k}", rng, scatter=30.0) for k in range(n)])[0]) for _ in range(400))
+    told = sum(bool(outlying_robots([row(f"r{k}", rng, scatter=30.0) for k in range(n)])[0]) for _ in range(400))
     assert told <= 11
 
 
@@ -79,7 +79,7 @@ def test_a_robot_left_with_twice_the_error_and_one_with_another_constant_are_nam
     for stage in rows[7]["stages"]:
         stage["rms"] *= 3.0
     rows[9]["constants"][1]["value"] = 5e-3
-    found, numbers = standing_out(rows)
+    found, numbers = outlying_robots(rows)
     assert numbers == 3 + len(NAMES)
     assert {out.robot for out in found} == {"r07", "r09"}
     assert (found[0].robot, found[0].what, found[0].unit) == ("r09", "joint_2.yaw", "rad")
@@ -94,13 +94,13 @@ def test_half_of_the_robots_may_be_spoilt_and_few_or_others_are_not_compared() -
     rows = [row(f"r{k:02d}", rng) for k in range(21)]
     for k in range(9):
         rows[k]["constants"][0]["value"] += 1.0 + k
-    assert {out.robot for out in standing_out(rows)[0]} == {f"r{k:02d}" for k in range(9)}
-    assert standing_out(rows[: FEWEST_ROBOTS - 1]) == ([], 0)
+    assert {out.robot for out in outlying_robots(rows)[0]} == {f"r{k:02d}" for k in range(9)}
+    assert outlying_robots(rows[: FEWEST_ROBOTS - 1]) == ([], 0)
     mixed = [r | {"urdf": str(k % 3)} for k, r in enumerate(rows)]
-    assert standing_out(mixed)[1] == 0
-    assert standing_out([r | {"status": "failed"} for r in rows]) == ([], 0)
+    assert outlying_robots(mixed)[1] == 0
+    assert outlying_robots([r | {"status": "failed"} for r in rows]) == ([], 0)
     two = [*rows, *(r | {"robot": f"s{k}", "urdf": "two"} for k, r in enumerate(rows[:3]))]
-    assert {out.robot for out in standing_out(two)[0]} == {f"r{k:02d}" for k in range(9)}
+    assert {out.robot for out in outlying_robots(two)[0]} == {f"r{k:02d}" for k in range(9)}
     page = fleet_page(FleetResults(tuple(two), {r["robot"]: r for r in two}, (), {}, (), ""), "plant")
     assert "3 robots of makes (URDFs) with fewer than 8 robots were not compared" in page
 
@@ -109,7 +109,7 @@ def test_robots_that_are_all_the_same_to_the_last_digit_are_not_divided_by_nothi
     rng = np.random.default_rng(3)
     same = row("a", rng)
     rows = [same | {"robot": f"r{k}"} for k in range(10)]
-    assert standing_out(rows)[0] == []
+    assert outlying_robots(rows)[0] == []
 
 
 def test_of_fleets_in_which_nothing_moves_one_in_a_hundred_is_told_of_a_drift() -> None:
@@ -118,7 +118,7 @@ def test_of_fleets_in_which_nothing_moves_one_in_a_hundred_is_told_of_a_drift() 
     for _ in range(400):
         found, robots = drifting([row(f"r{k}", rng, month) for k in range(10) for month in (0, 1, 2)])
         assert (robots, len(found)) == (10, 10 * len(NAMES))
-        told += any(drift.beyond for drift in found)
+        told += any(drift.significant for drift in found)
     assert told <= 11
     assert FALSE_ALARMS == 0.01
 
@@ -165,7 +165,7 @@ def test_constants_are_compared_among_runs_and_robots_that_told_the_same_ones() 
     found, robots = drifting([first, other_gauge(second), third])
     assert (robots, {drift.days for drift in found}) == (1, {60.0})
     rows = [row(f"r{k:02d}", rng) for k in range(30)]
-    assert standing_out([*rows[:29], other_gauge(rows[29])])[0] == []
+    assert outlying_robots([*rows[:29], other_gauge(rows[29])])[0] == []
 
 
 def test_a_constant_that_moves_is_first_with_its_days_and_frames_are_none() -> None:
@@ -173,7 +173,7 @@ def test_a_constant_that_moves_is_first_with_its_days_and_frames_are_none() -> N
     rows = [row(f"r{k}", rng, month) for k in range(10) for month in range(4)]
     next(r for r in rows if r["robot"] == "r3" and r["key"] == "r3 3")["constants"][2]["value"] += 2e-3
     found, _ = drifting(rows[::-1])  # whatever the order
-    assert (found[0].robot, found[0].name, found[0].unit, found[0].days, found[0].beyond) == (
+    assert (found[0].robot, found[0].name, found[0].unit, found[0].days, found[0].significant) == (
         "r3",
         "joint_3.x",
         "m",
@@ -182,7 +182,7 @@ def test_a_constant_that_moves_is_first_with_its_days_and_frames_are_none() -> N
     )
     assert found[0].last[0] - found[0].first[0] == pytest.approx(2e-3, abs=6e-4)
     assert [drift.times for drift in found] == sorted((drift.times for drift in found), reverse=True)
-    assert not any(drift.beyond for drift in found[1:])
+    assert not any(drift.significant for drift in found[1:])
 
 
 def test_the_same_rows_computed_twice_and_another_urdf_are_no_second_measurement() -> None:

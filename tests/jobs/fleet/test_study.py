@@ -19,10 +19,10 @@ from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.fleet import trials as room
-from aridcal.jobs.fleet.in_process import here
-from aridcal.jobs.fleet.study_figures import found_again, median, points, scatters, share
-from aridcal.jobs.fleet.study_runs import SCHEMA, StudyResult, known_runs, studied
-from aridcal.jobs.fleet.trials import Case, Trial, half, load_study, sought, trials, tried
+from aridcal.jobs.fleet.local_engine import run_tasks
+from aridcal.jobs.fleet.study_figures import median, points, recurrent_effects, scatters, share
+from aridcal.jobs.fleet.study_records import STUDY_SCHEMA, StudyResult, earlier_runs, studied
+from aridcal.jobs.fleet.trials import Case, Trial, half_of_rows, load_study, run_trial, search_in_words, trials
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
 from aridcal.pages.study_page import study_page
@@ -62,7 +62,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyResult]:
     folder = tmp_path_factory.mktemp("study")
     path = written(folder)
     every = trials(load_study(path))
-    return path, studied(every, {}, folder, here, SILENT)
+    return path, studied(every, {}, folder, run_tasks, SILENT)
 
 
 def test_every_case_has_its_runs_and_the_table_its_columns(done: tuple[Path, StudyResult]) -> None:
@@ -71,9 +71,9 @@ def test_every_case_has_its_runs_and_the_table_its_columns(done: tuple[Path, Stu
         (n, size, run) for n in (30, 60) for size in (0.0, 1.0) for run in (0, 1)
     }
     assert {row["status"] for row in found.rows} == {"done"}
-    assert pyarrow.parquet.read_table(path.parent / "study.parquet").schema.names == SCHEMA.names
+    assert pyarrow.parquet.read_table(path.parent / "study.parquet").schema.names == STUDY_SCHEMA.names
     text = (ROOT / "docs" / "formats.md").read_text("utf-8").split("### Studies")[1]
-    assert [name for name in SCHEMA.names if f"`{name}`" not in text] == []
+    assert [name for name in STUDY_SCHEMA.names if f"`{name}`" not in text] == []
 
 
 def test_an_effect_of_ten_times_the_noise_is_named_and_none_of_it_is_not(done: tuple[Path, StudyResult]) -> None:
@@ -87,7 +87,7 @@ def test_the_error_against_the_truth_is_what_another_road_gives(tmp_path: Path) 
     path = written(tmp_path)
     job = load_study(path)
     assert isinstance(job, Scenario)
-    row = tried(next(t for t in trials(job).values() if t.case == Case(60, 1.0)))
+    row = run_trial(next(t for t in trials(job).values() if t.case == Case(60, 1.0)))
     again = yaml.safe_load(path.read_text())
     again["truth"] |= {"n": 60, "seed": row["seed"]}
     del again["study"]
@@ -130,7 +130,7 @@ def test_a_study_goes_on_where_it_was_and_does_failed_runs_again(
 ) -> None:
     path, _ = done
     every = trials(load_study(path))
-    known = known_runs(path.parent, every)
+    known = earlier_runs(path.parent, every)
     assert len(known) == 8
     first = next(iter(every))
     again = studied(
@@ -139,7 +139,7 @@ def test_a_study_goes_on_where_it_was_and_does_failed_runs_again(
     assert again.rows[0] | {"seconds": 0} == known[first] | {"seconds": 0}
     (tmp_path / "study.parquet").write_text("notes")
     with pytest.raises(OutputError, match="no table of a study"):
-        known_runs(tmp_path, every)
+        earlier_runs(tmp_path, every)
 
 
 @pytest.mark.parametrize(("keys", "said"), [
@@ -180,7 +180,7 @@ def whole(campaign: Path) -> Outcome:
 def test_halves_keep_all_held_out_rows_and_half_of_the_others(campaign: Path, whole: Outcome) -> None:
     sizes, kept, every = [], [], whole.measurements
     for seed in range(2):
-        rows = identify(campaign, choose=half(seed)).measurements
+        rows = identify(campaign, choose=half_of_rows(seed)).measurements
         assert set(rows.origin.line[rows.test]) == set(every.origin.line[every.test])
         sizes.append(int(rows.train.sum()))
         kept.append(frozenset(rows.origin.line[rows.train].tolist()))
@@ -192,13 +192,13 @@ def test_constants_scatter_over_halves_as_the_whole_states(campaign: Path, whole
     """Independent noise alone: over halves the scatter is that of a fit of all rows, within what 20 runs can tell."""
     job = load_study(campaign)
     assert isinstance(job, Campaign)
-    runs = [tried(trial) for trial in trials(job).values()]
+    runs = [run_trial(trial) for trial in trials(job).values()]
     stated = {p["name"]: p["std"] for p in room.parameters(whole.stage("geometric").fit)}
     ratios = [s.scatter / stated[s.name] for s in scatters(runs)]
     assert len(ratios) >= 3
     assert 0.75 < float(np.sqrt(np.mean(np.square(ratios)))) < 1.3
     assert not any(s.name.startswith(("world_base", "tip_target")) for s in scatters(runs))
-    page = study_page(StudyResult(tuple(runs), 0, 0, ""), "a campaign", sought(job), True)
+    page = study_page(StudyResult(tuple(runs), 0, 0, ""), "a campaign", search_in_words(job), True)
     assert "Are the constants known as well as stated?" in page
     assert "joint_2.beta" in page
 
@@ -246,14 +246,14 @@ def test_points_and_shares_count_what_was_done() -> None:
 
     rows = [row(True, 0), row(True, 2), row(False, 0), row(False, 0, "failed")]
     (point,) = points(rows)
-    assert point.found is not None
-    assert (point.runs, point.failed, point.found.value, point.others.value) == (3, 1, 2 / 3, 1 / 3)
-    assert [(label, s.value) for label, s in found_again(rows)] == [("a", 2 / 3)]
+    assert point.finding_share is not None
+    assert (point.runs, point.failed, point.finding_share.value, point.others.value) == (3, 1, 2 / 3, 1 / 3)
+    assert [(label, s.value) for label, s in recurrent_effects(rows)] == [("a", 2 / 3)]
     assert points([row(False, 0, "failed")]) == []
 
 
 def test_the_page_has_curves_and_intervals(done: tuple[Path, StudyResult]) -> None:
-    page = study_page(done[1], "arid", sought(load_study(done[0])), False)
+    page = study_page(done[1], "arid", search_in_words(load_study(done[0])), False)
     assert page.count('class="plot"') == 4
     assert "joint_harmonic at joint_3" in page
     assert "100 % (34 … 100)" in page  # two runs of two
@@ -282,7 +282,7 @@ def test_python_has_what_the_command_says(done: tuple[Path, StudyResult]) -> Non
     halves = [row | {"rows": None, "size": None} for row in found.rows]
     of_halves = study_run(StudyResult(tuple(halves), 0, 0, ""), path.parent)
     shares = dict(zip(of_halves.effects["effect"], of_halves.effects["share"], strict=True))
-    assert shares == {label: share.value for label, share in found_again(found.rows)}
+    assert shares == {label: share.value for label, share in recurrent_effects(found.rows)}
     assert list(of_halves.constants["name"]) == [s.name for s in scatters(found.rows)]
 
 
@@ -290,6 +290,6 @@ def test_a_run_that_fails_says_why(tmp_path: Path) -> None:
     path = written(tmp_path)
     trial = next(iter(trials(load_study(path)).values()))
     path.write_text(path.read_text().replace("joint_2.beta", "joint_8.beta"))
-    row = tried(Trial(str(path), trial.case, 0, trial.seed, trial.key))
+    row = run_trial(Trial(str(path), trial.case, 0, trial.seed, trial.key))
     assert row["status"] == "failed"
     assert "joint_8.beta" in row["error"]

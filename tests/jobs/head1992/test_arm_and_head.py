@@ -12,7 +12,7 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.loads import Payload, Surroundings
 from aridcal.engine.instruments.camera import predict_pixels, predict_ranges
 from aridcal.engine.instruments.camera_sonar import Head, unpacked
-from aridcal.jobs.calibrate.pipeline import judged
+from aridcal.jobs.calibrate.pipeline import judge_arm
 
 
 def misfit(T: np.ndarray, given: Shots, head: Head) -> np.ndarray:
@@ -110,7 +110,7 @@ def test_what_an_arm_lacks_and_nobody_seeks_is_structure_in_shots_as_it_is_in_po
     off = "diagnosis: {enabled: false}"
     for size, words in ((0.0, {"noise_floor"}), (2e-6, {"structure_remains"})):
         given, _ = shots(45, START, more=off, model=model, theta=np.append(THETA, size))
-        said = judged(calibrated(given)[0])
+        said = judge_arm(calibrated(given)[0])
         count = unpacked(given.rows.observed, 4).count
         assert count.min() < 6 + 13 <= count.max()
         assert said.verdict.word in words

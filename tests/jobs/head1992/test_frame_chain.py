@@ -11,11 +11,11 @@ from aridcal.engine.instruments.camera_sonar import HeadShot, packed, reduced, u
 from aridcal.engine.model.model import Model
 from aridcal.jobs.head1992.doty1992 import ORBITER_TO_BASE, pose
 from aridcal.jobs.head1992.sonar import fit_plane, ranges
-from aridcal.jobs.head1992.square import CENTRES
+from aridcal.jobs.head1992.square import FIDUCIAL_CENTRES
 from aridcal.jobs.head1992.square_pose import doty_axes
 
 K = np.array([[700.0, 0, 255.5], [0, 700.0, 255.5], [0, 0, 1]])
-POINTS = np.column_stack([CENTRES, np.zeros(6)])
+POINTS = np.column_stack([FIDUCIAL_CENTRES, np.zeros(6)])
 FLIP = pin.SE3(DOTY_OPENCV, np.zeros(3))  # Doty's camera frame <-> OpenCV's
 ORB_M_0 = pin.SE3(ORBITER_TO_BASE.T, np.array([1.5, -0.2, 0.7]))
 LINKS = np.array(  # d theta beta a alpha

@@ -22,7 +22,7 @@ from aridcal.identify import main
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.head1992.charuco import Board
 from aridcal.jobs.head1992.detections import read_shots
-from aridcal.jobs.head1992.observations import Read
+from aridcal.jobs.head1992.observations import CampaignRows
 from aridcal.jobs.head1992.render import Optics
 from aridcal.jobs.simulate.simulation import named_constants
 from aridcal.jobs.simulate.viewpoints import draw_views
@@ -58,7 +58,7 @@ def run(folder: Path) -> dict:
     return json.loads((folder / "results" / "result.json").read_text())
 
 
-def read(folder: Path, cache: Path | None = None) -> tuple[Read, str]:
+def read(folder: Path, cache: Path | None = None) -> tuple[CampaignRows, str]:
     """The shots, and what was said while they were read."""
     said: list[str] = []
     shots = read_shots(load_campaign(folder / "campaign.yaml"), ARID, cache, 0, Progress(said.append))

@@ -9,11 +9,11 @@ from heads import ARID, MODEL, START, T_TIP_CAMERA, THETA, calibrated, moved, po
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.catalogue import candidates, declared
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import Payload, Surroundings
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import Geometry
-from aridcal.engine.search.declared import CONFOUNDED
+from aridcal.engine.search.declared_effects import CONFOUNDED_SENTENCE
 from aridcal.engine.search.loop import CalibratedArm
 from aridcal.engine.trust.gains import explain
 from aridcal.jobs.head1992.detections import head_things
@@ -31,7 +31,7 @@ def found(n: int, more: str = QUIET, seed: int = 0, **faults: float) -> tuple[Ca
 
 
 def named(arm: CalibratedArm) -> set[tuple[str, str]]:
-    return {(a.effect.kind, a.effect.where) for a in arm.diagnosed.found.state.active}
+    return {(a.effect.kind, a.effect.where) for a in arm.diagnosed.stepwise.state.active}
 
 
 def values(arm: CalibratedArm) -> dict[str, tuple[float, float]]:
@@ -108,7 +108,7 @@ def test_of_declared_effects_that_are_one_the_last_is_left_out_and_named():
     known = values(arm)
     assert [s for s in (*SONARS, "sonars") if f"{s}.bias" not in known] == ["sonars"]
     assert all(known[f"{s}.bias"][1] < 1e-3 for s in SONARS)
-    (lost,) = [b for b in arm.diagnosed.barred if b.why == CONFOUNDED]
+    (lost,) = [b for b in arm.diagnosed.barred if b.why == CONFOUNDED_SENTENCE]
     assert lost.what.startswith("sonar_bias at sonars")
 
 
@@ -146,7 +146,7 @@ def test_the_arm_is_better_for_it_and_says_how_well_it_is_known():
 
 def test_every_candidate_moves_numbers_of_the_head_and_has_a_unit():
     things = head_things(START)
-    known = candidates(Observed(ARID, {}, (), held=things.held), KINDS_OF_HEAD)
+    known = candidates(ObservedRows(ARID, {}, (), held=things.held), KINDS_OF_HEAD)
     assert len(known) == 4 + 2 + 1 + 5 + 5
     for e in known:
         moving = [START.role.moved_by(c.where, c.component) for c in e.coefficients]
@@ -164,6 +164,6 @@ def test_every_candidate_moves_numbers_of_the_head_and_has_a_unit():
 )
 def test_an_effect_that_the_head_cannot_have_is_refused_by_name(asked, message):
     given, _ = shots(1, START, more=f"effects: [{asked}]")
-    rows = Observed(ARID, {}, (), held=head_things(START).held)
+    rows = ObservedRows(ARID, {}, (), held=head_things(START).held)
     with pytest.raises(CampaignError, match=message):
         declared(rows, given.campaign.effects[0], "campaign.yaml")

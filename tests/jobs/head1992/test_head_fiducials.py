@@ -11,7 +11,7 @@ from aridcal.engine.instruments.camera import DOTY_OPENCV, predict_pixels
 from aridcal.engine.instruments.camera_sonar import predict_ranges
 from aridcal.jobs.head1992.fiducials import Fiducials, find_fiducials
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.jobs.head1992.render import Glare, Patch, Scene, render
+from aridcal.jobs.head1992.render import Glare, ImageAppearance, Patch, render
 from aridcal.jobs.head1992.square import INCH, layout, strip_placements
 from aridcal.jobs.head1992.square_pose import Sonars, measure_pose
 
@@ -30,7 +30,7 @@ def pose(x_in=0.0, y_in=0.0, z=0.25, tilt=(0.0, 0.0), turn=0.0) -> np.ndarray:
     return T
 
 
-PLAIN = Scene()
+PLAIN = ImageAppearance()
 
 
 def look(T, scene=PLAIN, seed=0, squares=STRIP, intrinsics=INTRINSICS, size=512) -> tuple[np.ndarray, Sonars]:
@@ -71,7 +71,7 @@ VIEWS = [
 def test_centres_are_true_to_hundredths_of_a_pixel_and_their_covariance_is_honest(blur):
     scores, worst = [], 0.0
     for k, T in enumerate(VIEWS):
-        image, sonars = look(T, Scene(blur=blur), seed=k)
+        image, sonars = look(T, ImageAppearance(blur=blur), seed=k)
         found = find_fiducials(image, AROUND, INTRINSICS, sonars)
         off = errors(found, T)
         worst = max(worst, np.sqrt(np.mean(off**2)))
@@ -86,7 +86,7 @@ def test_sigmas_are_honest_in_large_and_quiet_images_too():
     intrinsics = np.array([1400.0, 1400.0, (size - 1) / 2, (size - 1) / 2, 0, 0, 0, 0, 0])
     of_centres = []
     for k, T in enumerate(VIEWS[:3]):
-        image, sonars = look(T, Scene(noise=0.5), seed=20 + k, intrinsics=intrinsics, size=size)
+        image, sonars = look(T, ImageAppearance(noise=0.5), seed=20 + k, intrinsics=intrinsics, size=size)
         found = find_fiducials(image, AROUND, intrinsics, sonars)
         off = errors(found, T, intrinsics)
         of_centres += list(np.einsum("mi,mi->m", off, np.linalg.solve(found.covariances, off[..., None])[..., 0]))
@@ -152,7 +152,7 @@ def test_the_corner_marker_tells_upside_down(turn):
 
 
 def test_white_on_black_is_measured_too():
-    image, sonars = look(VIEWS[1], Scene(paper=0.1, ink=0.8))
+    image, sonars = look(VIEWS[1], ImageAppearance(paper=0.1, ink=0.8))
     assert np.max(np.abs(errors(find_fiducials(image, AROUND, INTRINSICS, sonars), VIEWS[1]))) < 0.05
 
 
@@ -161,7 +161,7 @@ def test_uneven_light_glare_dirt_and_wrong_pixels_do_not_matter():
     rng = np.random.default_rng(3)
     spots = zip(rng.uniform(20, 490, (40, 2)), rng.random(40), strict=True)
     dirt = [Patch(c + 4 * np.array([[-1, 1], [1, 1], [1, -1]]), grey) for c, grey in spots]
-    scene = Scene(light=(0.3, -0.25), glares=[Glare(200, 300, 80, 0.3)], patches=dirt, wrong_pixels=0.003)
+    scene = ImageAppearance(light=(0.3, -0.25), glares=[Glare(200, 300, 80, 0.3)], patches=dirt, wrong_pixels=0.003)
     image, sonars = look(T, scene)
     found = find_fiducials(image, AROUND, INTRINSICS, sonars)
     p = measure_pose(found.layout.centres, found.pixels, found.covariances, sonars, INTRINSICS, found.T_camera_square)
@@ -173,7 +173,7 @@ def test_light_that_changes_across_the_image_moves_no_fiducial():
     """Contrast changes with the light, by most where the fiducials are white on black, as here."""
     scores = []
     for k, T in enumerate(VIEWS):
-        image, sonars = look(T, Scene(paper=0.06, ink=0.85, light=(0.25, -0.2), blur=1.5), seed=k)
+        image, sonars = look(T, ImageAppearance(paper=0.06, ink=0.85, light=(0.25, -0.2), blur=1.5), seed=k)
         found = find_fiducials(image, AROUND, INTRINSICS, sonars)
         common = np.linalg.inv(found.covariances).sum(axis=0)  # of a shift of all of them
         shift = np.linalg.solve(common, np.einsum("mij,mj->i", np.linalg.inv(found.covariances), errors(found, T)))
@@ -184,7 +184,7 @@ def test_light_that_changes_across_the_image_moves_no_fiducial():
 def test_paper_brighter_than_the_camera_can_show_biases_nothing():
     scores = []
     for k, T in enumerate(VIEWS[:3]):
-        image, sonars = look(T, Scene(paper=0.9, light=(0.3, -0.25), blur=1.3, noise=1.0), seed=k)
+        image, sonars = look(T, ImageAppearance(paper=0.9, light=(0.3, -0.25), blur=1.3, noise=1.0), seed=k)
         assert np.mean(image == 255) > 0.02
         found = find_fiducials(image, AROUND, INTRINSICS, sonars)
         off = errors(found, T)
@@ -195,7 +195,7 @@ def test_paper_brighter_than_the_camera_can_show_biases_nothing():
 @pytest.mark.parametrize("hidden", [(4,), (3, 4, 6)])
 def test_covered_fiducials_are_left_out(hidden):
     T = pose(0.2, -0.3, 0.3, (0.1, 0.1), 0.5)
-    image, sonars = look(T, Scene(patches=covered(T, hidden)))
+    image, sonars = look(T, ImageAppearance(patches=covered(T, hidden)))
     found = find_fiducials(image, ALONE, INTRINSICS, sonars)
     assert own(found) == {1, 2, 3, 4, 5, 6} - set(hidden)
     assert np.max(np.abs(errors(found, T))) < 0.05
@@ -211,7 +211,7 @@ def test_partial_view_of_the_reports_figure_5_5_is_enough():
 
 def test_without_the_corner_marker_bare_paper_where_it_would_be_upside_down_decides():
     T = pose(0.1, 0.1, 0.3)
-    image, sonars = look(T, Scene(patches=covered(T, [1])), squares={2: STRIP[2]})
+    image, sonars = look(T, ImageAppearance(patches=covered(T, [1])), squares={2: STRIP[2]})
     found = find_fiducials(image, ALONE, INTRINSICS, sonars)
     assert own(found) == {2, 3, 4, 5, 6} and np.max(np.abs(errors(found, T))) < 0.1
 
@@ -219,14 +219,14 @@ def test_without_the_corner_marker_bare_paper_where_it_would_be_upside_down_deci
 def test_a_neighbours_centre_leads_to_the_own_square_and_not_to_one_turned_by_a_right_angle():
     # Own centre hidden; the four perimeter fiducials of the square beside fit a square turned by 90 degrees about it.
     T = pose(1.292, -1.354, 0.3628, (0.188, -0.045), -1.524)
-    image, sonars = look(T, Scene(patches=covered(T, [4])))
+    image, sonars = look(T, ImageAppearance(patches=covered(T, [4])))
     found = find_fiducials(image, AROUND, INTRINSICS, sonars)
     assert own(found) == {1, 2, 3, 5, 6} and np.max(np.abs(errors(found, T))) < 0.1
 
 
 def test_perimeter_fiducials_alone_do_not_tell_how_the_square_is_turned():
     T = pose(0, 0, 0.3)
-    image, sonars = look(T, Scene(patches=covered(T, [1, 4])), squares={2: STRIP[2]})
+    image, sonars = look(T, ImageAppearance(patches=covered(T, [1, 4])), squares={2: STRIP[2]})
     assert "turn of the square is ambiguous" in refusal(image, sonars)
 
 
@@ -259,7 +259,7 @@ def test_a_square_that_may_be_upside_down_is_refused():
     both = np.array([[-1.75, 1.75, 0], [1.75, -1.75, 0]]) * INCH
     at = predict_pixels(T, both, INTRINSICS)[0]
     hide = [Patch(p + 25 * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]), 0.4) for p in at]
-    image, sonars = look(T, Scene(patches=hide), squares={2: STRIP[2]})
+    image, sonars = look(T, ImageAppearance(patches=hide), squares={2: STRIP[2]})
     assert "upside down" in refusal(image, sonars)
 
 
@@ -267,7 +267,7 @@ def test_a_square_that_may_be_upside_down_is_refused():
 def test_too_few_fiducials_or_all_on_one_line_are_refused(left):
     T = pose(0, 0, 0.3)
     hide = covered(T, {1, 2, 3, 4, 5, 6} - set(left), reflectance=0.8)
-    image, sonars = look(T, Scene(patches=hide), squares={2: STRIP[2]})
+    image, sonars = look(T, ImageAppearance(patches=hide), squares={2: STRIP[2]})
     assert "square" in refusal(image, sonars)
 
 

@@ -8,7 +8,7 @@ import pytest
 from aridcal.engine.instruments.camera import DOTY_OPENCV, on_plane, predict_pixels, project, project_jacobian, rays
 from aridcal.engine.instruments.camera_sonar import predict_ranges
 from aridcal.jobs.head1992.sonar import doty_plane, fit_plane
-from aridcal.jobs.head1992.square import CENTRES, INCH, SIZES
+from aridcal.jobs.head1992.square import FIDUCIAL_CENTRES, FIDUCIAL_SIZES, INCH
 from aridcal.jobs.head1992.square_pose import (
     NO_SONARS,
     Sonars,
@@ -23,7 +23,7 @@ from aridcal.jobs.head1992.square_pose import (
 cv2.setNumThreads(1)
 STRAIGHT = np.array([700.0, 700.0, 255.5, 255.5, 0, 0, 0, 0, 0])
 BENT = np.array([702.0, 697.0, 250.0, 260.0, -0.2, 0.08, 0.001, -0.002, 0.05])
-POINTS = np.column_stack([CENTRES, np.zeros(6)])
+POINTS = np.column_stack([FIDUCIAL_CENTRES, np.zeros(6)])
 GAMMA = 2 * INCH
 CORNERS = GAMMA * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
 
@@ -211,13 +211,13 @@ def test_quantisation_is_a_fifth_of_a_millimetre():
 
 @pytest.mark.parametrize(("z", "tilt"), BIAS_TABLE)
 def test_centroid_of_an_image_is_not_the_image_of_the_centre(z, tilt):
-    corners = SIZES[:, None] / INCH * np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+    corners = FIDUCIAL_SIZES[:, None] / INCH * np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
     f = 128.0 * z
     found = {}
     for axis in (0, 1):
         R = pin.exp3(np.radians(tilt) * np.eye(3)[axis])
         bias = []
-        for middle, size, outline in zip(CENTRES / INCH, SIZES / INCH, corners, strict=True):
+        for middle, size, outline in zip(FIDUCIAL_CENTRES / INCH, FIDUCIAL_SIZES / INCH, corners, strict=True):
             world = np.column_stack([middle + outline, np.zeros(4)]) @ R.T + [0, 0, z]
             c = R @ [*middle, 0] + [0, 0, z]
             seen = centroid(f * world[:, :2] / world[:, 2:]) - f * c[:2] / c[2]

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon, box
 
-from aridcal.jobs.head1992.render import Scene, coverage, image_outlines, light_map
+from aridcal.jobs.head1992.render import ImageAppearance, coverage, image_outlines, light_map
 from aridcal.jobs.head1992.square import (
-    CENTRES,
+    FIDUCIAL_CENTRES,
+    FIDUCIAL_SIZES,
     INCH,
-    SIDE,
-    SIZES,
+    SQUARE_SIDE,
     fiducial_corners,
     index_corners,
     layout,
@@ -30,18 +30,18 @@ def test_square_has_the_reports_dimensions():
     areas = [Polygon(c).area for c in fiducial_corners()]
     assert np.allclose(areas, np.array([1, 1, 1, 2, 1, 1]) / 16 * INCH**2)
     assert np.isclose(areas[3], 80.6e-6, rtol=1e-3) and np.isclose(areas[0], 40.3e-6, rtol=1e-3)
-    p = dict(enumerate(CENTRES, 1))
+    p = dict(enumerate(FIDUCIAL_CENTRES, 1))
     assert np.allclose(p[5] - p[3], [0.0889, 0]) and np.allclose(p[2] - p[6], [0, 0.0889])
     assert np.isclose(np.linalg.norm(p[2] - p[4]), 0.04445)
     assert p[1][0] < 0 < p[1][1]  # corner marker in quadrant two
-    assert SIZES[3, 1] == 2 * SIZES[3, 0]  # the long side runs along y
+    assert FIDUCIAL_SIZES[3, 1] == 2 * FIDUCIAL_SIZES[3, 0]  # the long side runs along y
     outer = Polygon(paper_corners()).exterior.distance(Polygon(fiducial_corners()[4]))
     assert np.isclose(outer, 0.003175)
 
 
 def test_strip_of_28_squares_is_112_inches_and_neighbours_are_half_an_inch_apart():
     T = strip_placements()
-    assert np.isclose(28 * SIDE, 2.8448) and np.allclose(T[27, :3, 3], [0, 27 * SIDE, 0])
+    assert np.isclose(28 * SQUARE_SIDE, 2.8448) and np.allclose(T[27, :3, 3], [0, 27 * SQUARE_SIDE, 0])
     around = layout(dict(enumerate(T)), square=5)
     p6 = around.centres[(around.square == 6) & (around.fiducial == 6)][0]
     p2 = around.centres[(around.square == 5) & (around.fiducial == 2)][0]
@@ -101,8 +101,8 @@ def test_rendered_edges_are_true_to_a_hundredth_of_a_pixel(blur):
     for shift in (0.0, 0.137, 0.5, 0.781):
         T = facing(0.25)
         T[0, 3] += shift / 700 * 0.25
-        image = light_map({}, INTRINSICS, 512, 512, Scene(surroundings=0.8, blur=blur))
-        with_marks = light_map({0: T}, INTRINSICS, 512, 512, Scene(surroundings=0.8, paper=0.8, blur=blur))
+        image = light_map({}, INTRINSICS, 512, 512, ImageAppearance(surroundings=0.8, blur=blur))
+        with_marks = light_map({0: T}, INTRINSICS, 512, 512, ImageAppearance(surroundings=0.8, paper=0.8, blur=blur))
         part = (slice(215, 296), slice(215, 296))  # the centre fiducial
         dark = (image - with_marks)[part] / (255 * (0.8 - 0.12))
         corners = image_outlines(T, fiducial_corners()[3:4], INTRINSICS)[0]
@@ -116,7 +116,7 @@ def test_rendered_edges_are_true_to_a_hundredth_of_a_pixel(blur):
 
 def test_supersampled_blur_is_a_gaussian_of_the_stated_width():
     T = facing(0.25)
-    scene = Scene(surroundings=0.8, paper=0.8, blur=1.2)
+    scene = ImageAppearance(surroundings=0.8, paper=0.8, blur=1.2)
     row = light_map({0: T}, INTRINSICS, 512, 512, scene)[256] / 255
     dark = (0.8 - row[215:256]) / (0.8 - 0.12)
     edge = np.diff(dark)

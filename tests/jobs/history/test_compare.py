@@ -137,7 +137,7 @@ def test_what_one_could_not_tell_is_no_change() -> None:
 def test_a_zero_that_moved_is_named_with_its_size(joint: int, kind: str) -> None:
     size = 6e-4 if kind == "pose" or joint < 4 else 2e-3
     found = compare(*pair(joint, kind, offset=jump(joint, size)))
-    first, *others = found.causes.found
+    first, *others = found.causes.changes
     assert first.words == f"the zero of {NAMES[joint]}" or f"the zero of {NAMES[joint]}" in first.alike
     assert not others
     if first.words == f"the zero of {NAMES[joint]}":
@@ -147,7 +147,7 @@ def test_a_zero_that_moved_is_named_with_its_size(joint: int, kind: str) -> None
 
 def test_a_zero_that_moved_far_is_found_though_nothing_is_linear_there() -> None:
     found = compare(*pair(2, offset=jump(3, 0.1)))
-    (only,) = found.causes.found
+    (only,) = found.causes.changes
     assert only.words == f"the zero of {NAMES[3]}"
     assert only.value[0] == pytest.approx(0.1, abs=1e-4)
 
@@ -155,7 +155,7 @@ def test_a_zero_that_moved_far_is_found_though_nothing_is_linear_there() -> None
 def test_two_changes_are_two_and_the_sizes_of_both_are_right() -> None:
     constant = f"{NAMES[1]}.z"
     found = compare(*pair(3, offset=jump(4, 4e-4), change={constant: 3e-4}))
-    named = {cause.words: cause for cause in found.causes.found}
+    named = {cause.words: cause for cause in found.causes.changes}
     assert set(named) == {f"the zero of {NAMES[4]}", constant}
     assert named[constant].value[0] == pytest.approx(3e-4, abs=4 * named[constant].std[0])
 
@@ -168,7 +168,7 @@ def test_an_effect_that_one_lacks_counts_only_if_its_rows_would_have_shown_it() 
     a = calibration(m, 70)
     assert wave.name in a.final.model.names
     gone = compare(a, calibration(plain, 71))
-    (cause,) = gone.causes.found
+    (cause,) = gone.causes.changes
     assert wave.name in cause.names
     assert cause.value[0] == pytest.approx(-1e-4, abs=4 * cause.std[0])
     coarse = calibration(m, 72, n=30, noise=10 * NOISE, without=(wave.name,))
@@ -177,7 +177,7 @@ def test_an_effect_that_one_lacks_counts_only_if_its_rows_would_have_shown_it() 
 
 def test_causes_of_nothing_are_none() -> None:
     found = difference(*pair(4))
-    assert causes(found).found == ()
+    assert causes(found).changes == ()
     assert causes(found).rest == pytest.approx(found.p_value)
 
 

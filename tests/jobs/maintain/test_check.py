@@ -30,18 +30,18 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, bounds
-from aridcal.jobs.maintain.checking import asked, check
+from aridcal.jobs.maintain.checking import check, new_rows_question
 from aridcal.jobs.maintain.hypotheses import suspects, widened
 from aridcal.jobs.maintain.likelihoods import (
     LOG_WEIGHTS,
     NOISE_FACTORS,
-    Question,
+    NewRowsQuestion,
     alarm,
     covariance_of,
     evidence,
     likely,
 )
-from aridcal.jobs.maintain.new_rows import Noise, freedom_of, known_noise
+from aridcal.jobs.maintain.new_rows import NewRowNoise, freedom_of, new_row_noise
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
 NAMES = robots.ur10().readings
@@ -52,8 +52,8 @@ def ur10(seed: int = 1, kind: str = "pose") -> Machine:
     return machine(seed, kind)
 
 
-def question(m: Machine, rows: Dataset) -> Question:
-    return asked(widened(m.saved.final), rows, known_noise(m.saved, rows))
+def question(m: Machine, rows: Dataset) -> NewRowsQuestion:
+    return new_rows_question(widened(m.saved.final), rows, new_row_noise(m.saved, rows))
 
 
 # -- the rules of evidence, by a second road
@@ -119,7 +119,7 @@ def test_noise_that_was_estimated_from_few_rows_raises_fewer_alarms():
     m = ur10()
     rows = m.measured(m.configurations(8), noise=1.4 * NOISE)
     sure = question(m, rows)
-    unsure = replace(sure, freedom=freedom_of(Noise(np.ones(2), np.array([30.0, 30.0])), np.array([3, 3])))
+    unsure = replace(sure, freedom=freedom_of(NewRowNoise(np.ones(2), np.array([30.0, 30.0])), np.array([3, 3])))
     assert unsure.freedom == pytest.approx(60.0)
     assert alarm(sure, []).p_value < 0.2 * alarm(unsure, []).p_value
 
@@ -176,9 +176,9 @@ def with_wander(m: Machine, sigma: float) -> Machine:
     return replace(m, saved=replace(m.saved, record=record))
 
 
-def uneven_question(m: Machine, rows: Dataset) -> Question:
+def uneven_question(m: Machine, rows: Dataset) -> NewRowsQuestion:
     shared = wandering(m.saved.wanders, m.model.robot, rows.readings, m.saved.ranges)
-    return asked(widened(m.saved.final), rows, known_noise(m.saved, rows), wandering=shared)
+    return new_rows_question(widened(m.saved.final), rows, new_row_noise(m.saved, rows), wandering=shared)
 
 
 def corner(m: Machine, n: int) -> np.ndarray:
@@ -209,7 +209,7 @@ def test_errors_that_neighbouring_places_share_are_false_alarms_as_seldom_as_sta
 def test_noise_with_tails_makes_false_alarms_as_seldom_as_stated_and_hides_no_jump():
     """Student's t with two degrees of freedom: one position in four is more than three sigma off."""
     m, scale = ur10(), np.array([NOISE, NOISE])
-    noise = Noise(scale, np.full(2, np.inf), (Tails(2.0, NOISE), Tails(2.0, NOISE)))
+    noise = NewRowNoise(scale, np.full(2, np.inf), (Tails(2.0, NOISE), Tails(2.0, NOISE)))
     wide, before, after, missed = widened(m.saved.final), 0, 0, 0
     for _ in range(60):
         q = m.configurations(10)
@@ -219,12 +219,15 @@ def test_noise_with_tails_makes_false_alarms_as_seldom_as_stated_and_hides_no_ju
             turned = Rotation.from_rotvec(shake[:, 1]).as_matrix() @ rows.rotation
             rows = robots.placed(rows, position=rows.position + shake[:, 0], rotation=turned)
             every = suspects(wide, rows)
-            alarmed = alarm(asked(wide, rows, noise), every).p_value < FALSE_ALARMS
+            alarmed = alarm(new_rows_question(wide, rows, noise), every).p_value < FALSE_ALARMS
             if np.any(offset):
                 missed += not alarmed
             else:
                 after += alarmed
-                before += alarm(asked(wide, rows, Noise(scale, noise.freedom)), every).p_value < FALSE_ALARMS
+                before += (
+                    alarm(new_rows_question(wide, rows, NewRowNoise(scale, noise.freedom)), every).p_value
+                    < FALSE_ALARMS
+                )
     assert before > 40
     assert after <= 2  # 0.6 expected at the most
     assert missed == 0
@@ -239,7 +242,10 @@ def test_one_clean_check_in_a_hundred_is_a_false_alarm(kind):
         wide = widened(m.saved.final)
         for _ in range(100):
             rows = m.measured(q)
-            alarms += alarm(asked(wide, rows, known_noise(m.saved, rows)), suspects(wide, rows)).p_value < FALSE_ALARMS
+            alarms += (
+                alarm(new_rows_question(wide, rows, new_row_noise(m.saved, rows)), suspects(wide, rows)).p_value
+                < FALSE_ALARMS
+            )
     assert 1 <= alarms <= 8  # 3 expected: three standard deviations
 
 

@@ -24,7 +24,7 @@ from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.jobs.maintain.checking import CheckResult, check
 from aridcal.jobs.maintain.new_rows import read_new_rows
-from aridcal.jobs.maintain.repair import changes, repaired
+from aridcal.jobs.maintain.repair import changes, repair_calibration
 from aridcal.system.errors import AridcalError
 
 NAMES = robots.ur10().readings
@@ -126,7 +126,7 @@ def test_a_tool_is_known_from_one_point_touched_in_several_attitudes(tmp_path: P
     one = table[table["point"] == table["point"].mode()[0]][:10]
     one.to_csv(tmp_path / "measurements_1.csv", index=False, float_format="%.17g")
     new = read_new_rows(m.saved, path)
-    found = repaired(m.saved, check(m.saved, new.rows, frames=new.frames))
+    found = repair_calibration(m.saved, check(m.saved, new.rows, frames=new.frames))
     (change,) = found.changes
     assert (change.cause.kind, change.cause.where) == ("new", "tip_target")
     assert change.names == ("tip_target.x", "tip_target.y", "tip_target.z")  # of its turns a point tells nothing
@@ -158,7 +158,7 @@ def test_a_base_that_is_called_new_is_fitted_alone(tmp_path: Path) -> None:
     new = read_new_rows(m.saved, path)
     found = check(m.saved, new.rows, frames=new.frames)
     assert found.good  # the arm is as it was
-    mended = repaired(m.saved, found)
+    mended = repair_calibration(m.saved, found)
     (change,) = mended.changes
     assert (change.cause.kind, change.cause.where, len(change.names)) == ("new", "world_base", 6)
     was, now = (saved.final.model.world_base[0][1] for saved in (m.saved, mended.saved))
@@ -180,7 +180,7 @@ def test_other_targets_are_fitted_with_their_rows(tmp_path: Path) -> None:
     new = read_new_rows(m.saved, path)
     found = check(m.saved, new.rows, frames=new.frames)
     assert [(c.kind, c.where) for c in found.causes] == [("zero", "wrist_1_joint")]
-    mended = repaired(m.saved, found)
+    mended = repair_calibration(m.saved, found)
     assert [label for label, _ in mended.saved.final.model.tip_target] == [None]
     assert mended.changes[0].value[0] == pytest.approx(1e-3, abs=4 * mended.changes[0].std[0])
 

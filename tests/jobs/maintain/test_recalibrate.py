@@ -31,8 +31,8 @@ from aridcal.jobs.maintain.answers import check_lines
 from aridcal.jobs.maintain.checking import check
 from aridcal.jobs.maintain.likelihoods import likely
 from aridcal.jobs.maintain.new_rows import read_new_rows
-from aridcal.jobs.maintain.repair import changes, repaired
-from aridcal.jobs.maintain.repair_error import left_out
+from aridcal.jobs.maintain.repair import changes, repair_calibration
+from aridcal.jobs.maintain.repair_error import left_out_residuals
 from aridcal.system.errors import MeasurementError
 
 NAMES = robots.ur10().readings
@@ -53,7 +53,7 @@ def test_ten_rows_after_a_jump_make_a_calibration_as_good_as_before(kind):
         m = machine(300 + seed, kind)
         for joint in range(1, 5):
             rows = m.measured(m.configurations(10), jump(joint, 5e-4))
-            mended = repaired(m.saved, check(m.saved, rows))
+            mended = repair_calibration(m.saved, check(m.saved, rows))
             assert [c.cause.where for c in mended.changes] == [NAMES[joint]]
             ratios.append(error(m, mended.saved, jump(joint, 5e-4)) / error(m, m.saved))
             assert error(m, m.saved, jump(joint, 5e-4)) > 2 * error(m, m.saved)
@@ -66,7 +66,9 @@ def test_the_jump_is_recovered_with_the_uncertainty_that_is_stated():
         m = machine(400 + seed)
         for joint in (1, 4):
             rows = m.measured(m.configurations(10), jump(joint, 1e-3))
-            change = repaired(m.saved, check(m.saved, rows)).changes[0]  # in one of a hundred a second one is chance
+            change = repair_calibration(m.saved, check(m.saved, rows)).changes[
+                0
+            ]  # in one of a hundred a second one is chance
             pulls.append((change.value[0] - 1e-3) / change.std[0])
     assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.4
 
@@ -81,7 +83,7 @@ def test_the_jump_is_recovered_with_the_uncertainty_that_is_stated():
 def test_a_motor_put_in_anywhere_is_recovered(kind, joint, size):
     """Also beyond what small steps lead back from, by a turn of the motor behind a gear of 100, and by more than a whole turn."""
     m = machine(1, kind)
-    mended = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(joint, size))))
+    mended = repair_calibration(m.saved, check(m.saved, m.measured(m.configurations(10), jump(joint, size))))
     assert mended.changes[0].cause.where == NAMES[joint]
     assert np.angle(np.exp(1j * (mended.changes[0].value[0] - size))) == pytest.approx(0.0, abs=3e-4)
     assert error(m, mended.saved, jump(joint, size)) < 1.5 * error(m, m.saved)
@@ -98,7 +100,7 @@ def test_a_motor_put_in_anywhere_takes_its_gear_error_with_it():
     m = machine(5, effects=((wave[0], 8e-4), (wave[1], 3e-4)))
     found = check(m.saved, m.measured(m.configurations(20), jump(2, 1.2)))
     assert [(c.kind, c.where) for c in found.causes] == [("zero", "elbow_joint"), ("effect", "elbow_joint")]
-    mended = repaired(m.saved, found).saved
+    mended = repair_calibration(m.saved, found).saved
     assert error(m, mended, jump(2, 1.2)) < 1.5 * error(m, m.saved)
     assert any("set the controller's zero" in line for line in check_lines(found, changes(found), Units()))
 
@@ -107,7 +109,7 @@ def test_what_did_not_move_is_kept():
     """Every other coefficient stays within what was known of it, and none is less well known than before."""
     m = machine(2)
     before = m.saved.final
-    after = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(2, 2e-3)))).saved.final
+    after = repair_calibration(m.saved, check(m.saved, m.measured(m.configurations(10), jump(2, 2e-3)))).saved.final
     index = {name: k for k, name in enumerate(after.model.names)}
     kept = [index[name] for name in before.model.names]
     assert len(after.theta) == len(before.theta) + 1  # the zero of the elbow
@@ -122,7 +124,7 @@ def test_what_did_not_move_is_kept():
 def test_the_urdf_has_the_zero_in_it(joint):
     """Pinocchio on the URDF alone, and the model, are one robot."""
     m = machine(3)
-    mended = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(joint, 0.3)))).saved
+    mended = repair_calibration(m.saved, check(m.saved, m.measured(m.configurations(10), jump(joint, 0.3)))).saved
     urdf = urdf_of(mended.geometric.model, mended.geometric.theta)
     tree = pin.buildModelFromXML(urdf.decode())
     data = tree.createData()
@@ -151,7 +153,7 @@ def test_what_cannot_be_repaired_is_refused_with_the_remedy(what, said):
         q = m.configurations(12)
         rows = calibrated.measured(m.model, theta, q, q, NOISE, rng, "pose")
     with pytest.raises(MeasurementError, match=said):
-        repaired(m.saved, check(m.saved, rows))
+        repair_calibration(m.saved, check(m.saved, rows))
 
 
 def test_rows_left_out_are_predicted_as_if_they_had_never_been_there():
@@ -159,12 +161,12 @@ def test_rows_left_out_are_predicted_as_if_they_had_never_been_there():
     m = machine(6)
     rows = m.measured(m.configurations(8), jump(3, 2e-3))
     found = check(m.saved, rows)
-    left = left_out(found, likely(found.question).theta)
+    left = left_out_residuals(found, likely(found.question).theta)
     assert [c.where for c in found.causes] == ["wrist_1_joint"]
     for k in range(8):
         some = check(m.saved, rows.select(np.arange(8) != k))
         assert [c.where for c in some.causes] == ["wrist_1_joint"]
-        without = repaired(m.saved, some).saved.final
+        without = repair_calibration(m.saved, some).saved.final
         alone = problem(without.model, rows.select(np.arange(8) == k)).residual(without.theta)[0]
         np.testing.assert_allclose(left[k], alone, atol=0.02 * NOISE)
 
@@ -174,7 +176,7 @@ def test_a_repair_that_would_be_a_guess_is_refused_and_what_would_tell_is_said(t
     new = read_new_rows(m.saved, by_instruments(m, tmp_path, ["inclination"], jump(2, 2e-3), n=12))
     found = check(m.saved, new.rows, frames=new.frames)
     with pytest.raises(MeasurementError, match="measure what would tell"):
-        repaired(m.saved, found)
+        repair_calibration(m.saved, found)
 
 
 # -- the command

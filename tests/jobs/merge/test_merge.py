@@ -20,11 +20,11 @@ from aridcal.jobs.merge import averages, bags
 from aridcal.jobs.merge.alignment import Moves, jump
 from aridcal.jobs.merge.clocks import correlations
 from aridcal.jobs.merge.log import Log
-from aridcal.jobs.merge.merging import MergeResult
+from aridcal.jobs.merge.log_rows import MergeResult
 from aridcal.jobs.merge.standstills import standstills
-from aridcal.jobs.prepare.guesses import nobody
+from aridcal.jobs.prepare.guesses import leave_open
 from aridcal.merge import main
-from aridcal.runs.log_merge import joined
+from aridcal.runs.log_merge import join_logs
 from aridcal.system.errors import AridcalError, MeasurementError
 
 UR10 = robots.URDF / "ur10.urdf"
@@ -37,7 +37,7 @@ STD = ["std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz"]
 
 def join(joints: pd.DataFrame | Path, tracker: pd.DataFrame | Path | None, **answers: int) -> MergeResult:
     settled = {key.replace("_", "."): number for key, number in answers.items()}
-    return joined(joints, tracker, UR10, "tool0", nobody, settled)
+    return join_logs(joints, tracker, UR10, "tool0", leave_open, settled)
 
 
 def rows_of(found: MergeResult, truth: Made) -> np.ndarray:

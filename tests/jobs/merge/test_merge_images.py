@@ -16,7 +16,7 @@ import robots
 import aridcal
 from aridcal.detect import main as detect
 from aridcal.files.yaml_file import load_settings
-from aridcal.jobs.boards.camera_file import known_camera
+from aridcal.jobs.boards.camera_file import camera_by_name
 from aridcal.jobs.boards.camera_frames import packed_frame, raw_frame
 from aridcal.jobs.boards.options import ALL_BOARDS, board_of
 from aridcal.jobs.boards.patterns import drawing, marks
@@ -90,7 +90,7 @@ def test_each_stop_has_its_own_image_and_joints(tmp_path: Path, how: str, encodi
             nearest = cv2.cvtColor(nearest, cv2.COLOR_BGR2GRAY)
         off = np.abs(image.astype(float) - nearest)
         assert off.max() == 0 if encoding != "jpeg" else off.mean() < 4
-    camera = known_camera(tmp_path / "out" / "shots_images" / "camera.yaml", "eye")
+    camera = camera_by_name(tmp_path / "out" / "shots_images" / "camera.yaml", "eye")
     own = {name: getattr(camera, name) for name in CameraSettings.model_fields}
     np.testing.assert_array_equal(CameraSettings(**own).intrinsics, photographs.INTRINSICS)  # as head.yaml takes it
     assert (own["width"], own["height"]) == SIZE
@@ -128,7 +128,7 @@ def test_a_measuring_head_takes_the_table_the_images_and_the_camera(tmp_path: Pa
     (tmp_path / "shots.html").write_text("an earlier page")
     assert main([str(tmp_path / "run"), *ARGUMENTS, str(tmp_path / "shots.csv"), "--quiet"]) == 0
     assert not (tmp_path / "shots.html").exists()
-    camera = known_camera(tmp_path / "shots_images" / "camera.yaml", "eye")
+    camera = camera_by_name(tmp_path / "shots_images" / "camera.yaml", "eye")
     own = {name: getattr(camera, name) for name in CameraSettings.model_fields} | {
         "distortion": list(camera.distortion)
     }

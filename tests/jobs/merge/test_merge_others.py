@@ -12,9 +12,9 @@ import robots
 from made_logs import Made
 
 import aridcal
-from aridcal.jobs.merge.merging import MergeResult
-from aridcal.jobs.prepare.guesses import nobody
-from aridcal.runs.log_merge import joined
+from aridcal.jobs.merge.log_rows import MergeResult
+from aridcal.jobs.prepare.guesses import leave_open
+from aridcal.runs.log_merge import join_logs
 
 UR10 = robots.URDF / "ur10.urdf"
 ROBOT = robots.ur10()
@@ -47,11 +47,11 @@ def logs(plain: Made) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 @pytest.fixture(scope="module")
 def found(logs: tuple[pd.DataFrame, pd.DataFrame]) -> MergeResult:
-    return joined(*logs, UR10, "tool0", nobody, {})
+    return join_logs(*logs, UR10, "tool0", leave_open, {})
 
 
 def test_what_else_is_in_the_logs_changes_nothing_of_the_poses(plain: Made, found: MergeResult) -> None:
-    bare = joined(plain.joints, plain.tracker, UR10, "tool0", nobody, {}).table
+    bare = join_logs(plain.joints, plain.tracker, UR10, "tool0", leave_open, {}).table
     pd.testing.assert_frame_equal(found.table[bare.columns], bare)
     assert set(found.table) - set(bare) == {
         "temperature", "force_x", "force_y", "force_z", "payload", "tool", "joints_n", "tracker_temperature",
@@ -68,7 +68,7 @@ def test_means_are_those_of_the_samples_in_each_window(
             (joints, "temperature", "temperature"),
             (tracker, "temperature", "tracker_temperature"),
         ):
-            begin, end = found.found.begin[k : k + 1], found.found.end[k : k + 1]
+            begin, end = found.pairs.begin[k : k + 1], found.pairs.end[k : k + 1]
             if log is joints:
                 begin, end = found.clocks.joints(begin), found.clocks.joints(end)
             samples = [v for t, v in zip(log["time"], log[name], strict=True) if begin[0] <= t <= end[0]]

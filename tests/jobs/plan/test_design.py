@@ -21,12 +21,20 @@ from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.files.purposes import Box
 from aridcal.files.read import load_measurements
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.clearance import crosses
 from aridcal.jobs.plan.configurations import draw_candidates, targets_of
 from aridcal.jobs.plan.plan_coverage import observability
-from aridcal.jobs.plan.pose_design import Asked, Plan, as_table, design, question
-from aridcal.jobs.plan.row_exchange import Choice, best_choice, exchanged, greedy, nested, rms_sigma, worst_sigma
+from aridcal.jobs.plan.pose_design import Plan, PlanRequest, as_table, design, question
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
+from aridcal.jobs.plan.row_exchange import (
+    RowChoice,
+    best_choice,
+    exchange_members,
+    greedy,
+    nested,
+    rms_sigma,
+    worst_sigma,
+)
 from aridcal.jobs.plan.target_region import region, region_readings
 from aridcal.jobs.plan.travel import length, short_order, times
 from aridcal.system.errors import AridcalError, CampaignError, MeasurementError
@@ -60,16 +68,16 @@ def known_of(made: Campaign) -> PlanSetup:
 
 
 def planned(made: Campaign, n: int, **asked: object) -> Plan:
-    return design(known_of(made), Asked(n, **asked))  # type: ignore[arg-type]
+    return design(known_of(made), PlanRequest(n, **asked))  # type: ignore[arg-type]
 
 
-def a_choice(criterion: str, seed: int = 0, count: int = 12, solved_for: int = 2) -> Choice:
+def a_choice(criterion: str, seed: int = 0, count: int = 12, solved_for: int = 2) -> RowChoice:
     """A small one of random numbers."""
     rng = np.random.default_rng(seed)
     target = rng.standard_normal((7, 3, 6))
     target[:, :, :solved_for] = 0.0
     rows = rng.standard_normal((count, 2, 6)) * rng.uniform(0.3, 3.0, (count, 1, 1))
-    return Choice(rows, 0.1 * np.eye(6), target, np.ones(7), solved_for, criterion)  # type: ignore[arg-type]
+    return RowChoice(rows, 0.1 * np.eye(6), target, np.ones(7), solved_for, criterion)  # type: ignore[arg-type]
 
 
 # -- the exchange
@@ -91,7 +99,7 @@ def test_a_choice_is_the_best_of_all_that_there_are(criterion: str) -> None:
 @pytest.mark.parametrize("criterion", ["A", "D"])
 def test_no_single_exchange_makes_a_choice_better(criterion: str) -> None:
     choice = a_choice(criterion, seed=3, count=40)
-    found = exchanged(choice, list(range(8)))
+    found = exchange_members(choice, list(range(8)))
     cost = choice.cost(found)
     others = [c for c in range(40) if c not in found]
     swapped = [choice.cost([*found[:k], c, *found[k + 1 :]]) for k in range(8) for c in others]
@@ -101,7 +109,7 @@ def test_no_single_exchange_makes_a_choice_better(criterion: str) -> None:
 @pytest.mark.parametrize("criterion", SETTINGS)
 def test_a_choice_of_rows_that_alone_tell_something_is_the_best(criterion: str) -> None:
     """Fewer rows than unknowns, of which next to nothing is known: what one row less leaves is asked anew, not downdated."""
-    choice = replace(a_choice(criterion, seed=2, count=9), known=1e-13 * np.eye(6))
+    choice = replace(a_choice(criterion, seed=2, count=9), prior_information=1e-13 * np.eye(6))
     every = [choice.cost(some) for some in combinations(range(9), 2)]
     found = best_choice(choice, 2, np.random.default_rng(0), starts=12)
     assert choice.cost(found) <= (np.quantile(every, 0.1) if criterion == "G" else min(every) + 1e-6 * abs(min(every)))
@@ -128,7 +136,7 @@ def test_sigmas_of_the_region_are_those_of_drawn_unknowns() -> None:
 
 def test_an_order_begins_with_what_is_worth_most_and_goes_on() -> None:
     choice = a_choice("A", count=40)
-    chosen = exchanged(choice, greedy(choice, 8))
+    chosen = exchange_members(choice, greedy(choice, 8))
     order = nested(choice, chosen, 12)
     assert set(order[:8]) == set(chosen) and len(set(order)) == 12
     costs = [choice.cost(order[:k]) for k in range(1, 13)]
@@ -199,7 +207,7 @@ def test_predicted_sigma_is_the_scatter_of_calibrations(tmp_path: Path) -> None:
     """The whole fit, with frames and the choice of constants, on simulated poses of the nominal arm."""
     made = campaign(tmp_path, urdf="arid.urdf", tip="flange")
     known, robot = known_of(made), load_robot(made.robot.urdf, made.robot.tip)
-    plan = design(known, Asked(30))
+    plan = design(known, PlanRequest(30))
     rng = np.random.default_rng(5)
     places = region_readings(known, None, np.random.default_rng(8))[:80]
     _, exact = targets_of(known, places, np.zeros(80, dtype=int))
@@ -234,9 +242,11 @@ def test_a_plan_is_within_five_per_cent_of_the_best_of_many_exchanges(
     (tmp_path / "points.csv").write_text("point,x,y,z,std\na,0.7,0.2,0.3,0.05\nb,0.5,-0.5,0.5,0.05\n")
     known, rng = known_of(campaign(tmp_path, block, more)), np.random.default_rng(0)
     candidates = draw_candidates(known, 200, n, rng)
-    choice, _ = question(known, Asked(n), candidates, region_readings(known, None, rng))
+    choice, _ = question(known, PlanRequest(n), candidates, region_readings(known, None, rng))
     found = choice.cost(best_choice(choice, n, rng))
-    others = [choice.cost(exchanged(choice, rng.permutation(len(candidates.readings))[:n].tolist())) for _ in range(8)]
+    others = [
+        choice.cost(exchange_members(choice, rng.permutation(len(candidates.readings))[:n].tolist())) for _ in range(8)
+    ]
     assert np.sqrt(found) <= 1.05 * np.sqrt(min(others))
 
 
@@ -244,7 +254,7 @@ def test_configurations_of_points_hold_the_target_there(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text("point,x,y,z\na,0.7,0.2,0.3\nb,0.5,-0.5,0.5\n")
     made = campaign(tmp_path, "kind: point, noise: {position: 1.0e-4}", TOOL + "instruments: {points: points.csv}\n")
     known = known_of(made)
-    plan = design(known, Asked(12))
+    plan = design(known, PlanRequest(12))
     place = {"a": [0.7, 0.2, 0.3], "b": [0.5, -0.5, 0.5]}
     _, p = targets_of(known, plan.readings, np.zeros(12, dtype=int))
     np.testing.assert_allclose(p, [place[label] for label in plan.labels["point"]], atol=1e-6)
@@ -260,7 +270,7 @@ def test_images_are_planned_that_show_the_board(tmp_path: Path) -> None:
     place = "file: markers.csv, xyz: [0.6, 0, 0.05], rpy: [0, 0, 0]"
     more = f"instruments: {{cameras: {{eye: {{{camera}}}}}, markers: {{{place}}}}}\n"
     known = known_of(campaign(tmp_path, "kind: pixels, noise: {pixel: 0.2}", more))
-    plan = design(known, Asked(8))
+    plan = design(known, PlanRequest(8))
     R, p = targets_of(known, plan.readings, np.zeros(8, dtype=int))
     markers = np.array([(x + 0.6, y, 0.05) for _, x, y in board])
     seen = np.einsum("nji,nmj->nmi", R, markers - p[:, None]) - [0, 0, 0.05]
@@ -275,7 +285,7 @@ def test_the_arm_keeps_out_of_boxes_and_off_its_limits(tmp_path: Path) -> None:
     made = campaign(tmp_path, more=more)
     known, robot = known_of(made), load_robot(made.robot.urdf, made.robot.tip)
     # the first joint's own origin is above the floor, the base frame's is not part of the arm
-    plan = design(known, Asked(10))
+    plan = design(known, PlanRequest(10))
     _, tool = targets_of(known, plan.readings, np.zeros(10, dtype=int))
     points = np.concatenate([joint_frames(robot, plan.readings)[1], tool[:, None]], axis=1)
     line = points[:, :-1, None] + np.linspace(0, 1, 50)[:, None] * (points[:, 1:] - points[:, :-1])[:, :, None]
@@ -297,10 +307,10 @@ def test_the_region_decides_where_the_target_is_known(tmp_path: Path) -> None:
     np.testing.assert_allclose(region(known, joints, rng), cell)
     again = region(known, places, rng)
     np.testing.assert_allclose(targets_of(known, again, np.zeros(40, dtype=int))[1], p, atol=1e-6)
-    of_cell = design(known, Asked(10, region=joints))
+    of_cell = design(known, PlanRequest(10, region=joints))
     candidates = draw_candidates(known, 300, 10, np.random.default_rng(0))
-    choice, _ = question(known, Asked(10), candidates, cell)
-    anywhere, _ = question(known, Asked(10), candidates, region_readings(known, None, rng))
+    choice, _ = question(known, PlanRequest(10), candidates, cell)
+    anywhere, _ = question(known, PlanRequest(10), candidates, region_readings(known, None, rng))
     chosen = best_choice(anywhere, 10, rng)
     assert of_cell.at_n.rms < rms_sigma(choice, choice.information(chosen))
 
@@ -324,9 +334,9 @@ def test_the_campaign_s_own_region_and_tool_are_planned_for(tmp_path: Path) -> N
     point = (0.0, 0.3, 0.1)
     far = known_of(campaign(tmp_path, more=TOOL + f"region: {{file: cell.csv, tool: {list(point)}}}\n"))
     candidates = draw_candidates(far, 200, 10, np.random.default_rng(0))
-    choice, of = question(far, Asked(8), candidates, region_readings(far, None, rng))
+    choice, of = question(far, PlanRequest(8), candidates, region_readings(far, None, rng))
     step = 1e-6
-    for place, k in list(enumerate(of.kept))[::7]:
+    for place, k in list(enumerate(of.coefficients))[::7]:
         ends = []
         for sign in (step, -step):
             theta = far.theta + sign * (np.arange(len(far.theta)) == k)
@@ -366,7 +376,7 @@ def test_new_rows_add_to_those_measured(begun: Campaign) -> None:
     """Without new ones the sigma is that of the fit's own covariance."""
     robot = load_robot(begun.robot.urdf, begun.robot.tip, begun.robot.base)
     known = beforehand(begun, robot)
-    plan = design(known, Asked(8))
+    plan = design(known, PlanRequest(8))
     assert [s.n for s in plan.sigma] == [0, 2, 4, 8, 16]
     rows = load_measurements(begun, robot.readings, robot.limits, robot.kinds)
     fit = fit_constants(begun.question, robot, rows, ()).geometric
@@ -390,7 +400,7 @@ def test_one_station_and_one_block_are_planned_of_several(begun: Campaign, tmp_p
     (tmp_path / "stations.yaml").write_text(text + "frames: {world_base: {per: station}}\n")
     made = load_campaign(tmp_path / "stations.yaml")
     robot = load_robot(made.robot.urdf, made.robot.tip)
-    plan = design(beforehand(made, robot), Asked(4))
+    plan = design(beforehand(made, robot), PlanRequest(4))
     assert set(plan.labels["station"]) == {"right"} and "right" in plan.notices[0]
     assert "station" in as_table(plan, robot, made.measurements)
 
@@ -403,7 +413,7 @@ def test_one_station_and_one_block_are_planned_of_several(begun: Campaign, tmp_p
     keys = f"format: 1\nrobot: {{urdf: {made.robot.urdf}, tip: {made.robot.tip}}}\nmeasurements:\n"
     blocks = "- {kind: distance, file: wire.csv}\n- {kind: pose, file: measurements.csv}\n"
     (tmp_path / "blocks.yaml").write_text(keys + blocks)
-    both = design(beforehand(load_campaign(tmp_path / "blocks.yaml"), robot), Asked(4))
+    both = design(beforehand(load_campaign(tmp_path / "blocks.yaml"), robot), PlanRequest(4))
     assert "anchor" in both.labels and "first block, distance" in both.notices[0]
     assert both.measured > 50 and both.at_n.rms < both.sigma[0].rms
 
@@ -416,8 +426,8 @@ def test_configurations_tell_two_effects_apart(tmp_path: Path) -> None:
     pair = ("joint_3.joint_gain", "joint_3.joint_harmonic")
     known, rng = known_of(made), np.random.default_rng(0)
     candidates = draw_candidates(known, 300, 12, rng)
-    choice, _ = question(known, Asked(12, apart=pair), candidates, region_readings(known, None, rng))
-    plain, _ = question(known, Asked(12), candidates, region_readings(known, None, rng))
+    choice, _ = question(known, PlanRequest(12, apart=pair), candidates, region_readings(known, None, rng))
+    plain, _ = question(known, PlanRequest(12), candidates, region_readings(known, None, rng))
     apart, well = best_choice(choice, 12, rng), best_choice(plain, 12, rng)
     sigma = [rms_sigma(choice, choice.information(some)) for some in (apart, well)]
     assert sigma[0] < 0.9 * sigma[1]

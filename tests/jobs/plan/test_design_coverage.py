@@ -14,12 +14,12 @@ from aridcal.engine.inverse.reachable import limits_of
 from aridcal.engine.robot.chain import load_robot
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import allowed, draw_candidates
 from aridcal.jobs.plan.information import rows_of
 from aridcal.jobs.plan.plan_coverage import Sigma, suspects
-from aridcal.jobs.plan.pose_design import Asked, Plan, design, question
-from aridcal.jobs.plan.refine import Refined, refined
+from aridcal.jobs.plan.pose_design import Plan, PlanRequest, design, question
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
+from aridcal.jobs.plan.refinement import RefinedCandidates, refined
 from aridcal.jobs.plan.row_exchange import best_choice
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.usual_effects import USUAL_MOTIONS, with_stated_effects, with_usual_effects
@@ -55,9 +55,9 @@ def test_configurations_are_moved_to_better_places_that_are_allowed(tmp_path: Pa
     rng = np.random.default_rng(0)
     candidates = draw_candidates(known, 120, 16, rng)
     region = region_readings(known, None, rng)
-    choice, of = question(known, Asked(8, criterion), candidates, region)  # type: ignore[arg-type]
+    choice, of = question(known, PlanRequest(8, criterion), candidates, region)  # type: ignore[arg-type]
     chosen = best_choice(choice, 8, rng)
-    pool = Refined(candidates.some(chosen), choice.rows[chosen])
+    pool = RefinedCandidates(candidates.some(chosen), choice.rows[chosen])
     np.testing.assert_allclose(rows_of(known, of, pool.candidates), pool.rows, rtol=1e-9, atol=1e-9)
     found = refined(known, of, choice, pool, rng)
     np.testing.assert_allclose(rows_of(known, of, found.candidates), found.rows, rtol=1e-9, atol=1e-9)
@@ -100,17 +100,17 @@ def test_usual_effects_are_of_the_kinds_that_would_be_looked_for(tmp_path: Path)
 
 
 def plan_of(folder: Path, n: int = 10, more: str = BENDS) -> Plan:
-    return design(known_of(folder, more=TOOL + more), Asked(n))
+    return design(known_of(folder, more=TOOL + more), PlanRequest(n))
 
 
 def test_what_hangs_on_a_configuration_is_what_goes_without_it(tmp_path: Path) -> None:
     """By the inverse of the information without each row, as it stands in the plan."""
     known = known_of(tmp_path, more=TOOL + BENDS)
-    plan = design(known, Asked(10))
+    plan = design(known, PlanRequest(10))
     rng = np.random.default_rng(np.random.SeedSequence(0).spawn(5)[0])
     candidates = draw_candidates(known, 200, 20, rng)
     known = with_stated_effects(known, candidates)
-    _, of = question(known, Asked(10), candidates, region_readings(known, None, rng))
+    _, of = question(known, PlanRequest(10), candidates, region_readings(known, None, rng))
     names, parts = suspects(known, of)
     assert names == plan.coverage.suspects == ("joint_3: direction", "joint_3: its own reading")
     sides = np.zeros_like(plan.readings)
@@ -120,7 +120,7 @@ def test_what_hangs_on_a_configuration_is_what_goes_without_it(tmp_path: Path) -
 
     def variance(some: list[int]) -> np.ndarray:
         flat = rows[some].reshape(-1, rows.shape[2])
-        spread = np.diag(np.linalg.inv(of.known + flat.T @ flat))
+        spread = np.diag(np.linalg.inv(of.prior_information + flat.T @ flat))
         return np.array([spread[part].sum() for part in parts])
 
     every = list(range(10))

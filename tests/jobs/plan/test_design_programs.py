@@ -17,11 +17,11 @@ from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.rows.approach import approach
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.approaches import BACK_ANGLE, as_they_come, from_both_sides
-from aridcal.jobs.plan.beforehand import beforehand
+from aridcal.jobs.plan.approaches import BACK_ANGLE, approach_sides, from_both_sides
 from aridcal.jobs.plan.configurations import targets_of
 from aridcal.jobs.plan.joint_moves import PROGRAMS, Moves, check_program, moves, program
-from aridcal.jobs.plan.pose_design import Asked, as_table, design
+from aridcal.jobs.plan.pose_design import PlanRequest, as_table, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
 from aridcal.system.errors import OutputError
 
 SIX = 6 * ("revolute",)
@@ -155,7 +155,7 @@ def test_each_joint_comes_from_both_sides_wherever_it_is(n: int) -> None:
         order = np.argsort(readings[:, j])
         pairs = made.sides[order[: n - n % 2], j].reshape(-1, 2)
         assert (pairs.sum(axis=1) == 0).all()
-    np.testing.assert_array_equal(made.sides[:, 4:], as_they_come(readings, SIX)[:, 4:])
+    np.testing.assert_array_equal(made.sides[:, 4:], approach_sides(readings, SIX)[:, 4:])
 
 
 def test_the_way_of_a_program_brings_joints_from_the_sides_that_are_said() -> None:
@@ -182,7 +182,7 @@ def test_sides_go_with_no_smooth_function_of_the_reading() -> None:
     """As the way happens to come, a joint high in its range comes from below; chosen sides tell play from curves."""
     rng = np.random.default_rng(2)
     q = rng.uniform(-2.9, 2.9, (40, 1))
-    natural = as_they_come(q, SIX[:1])[:, 0]
+    natural = approach_sides(q, SIX[:1])[:, 0]
     chosen = from_both_sides(q, SIX[:1], TURN[:1], np.array([True]), rng).sides[:, 0]
     curves = np.column_stack([np.ones(40), q, np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)])
 
@@ -227,7 +227,7 @@ def test_a_plan_says_from_which_side_and_goes_that_way(tmp_path: Path) -> None:
 def test_without_play_nothing_is_said_of_sides(tmp_path: Path) -> None:
     made = load_campaign(written(tmp_path, "diagnosis: {enabled: false}\n"))
     robot = load_robot(made.robot.urdf, made.robot.tip)
-    plain = design(beforehand(made, robot), Asked(10))
+    plain = design(beforehand(made, robot), PlanRequest(10))
     assert not plain.directions and np.isnan(plain.via).all()
     assert list(as_table(plain, robot, made.measurements).columns) == list(robot.readings)
 

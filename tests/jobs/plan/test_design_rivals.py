@@ -17,11 +17,11 @@ from aridcal.files.campaign import load_campaign
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.plan import discrimination
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates, rows_like
 from aridcal.jobs.plan.discrimination import Duel, duel_lines
-from aridcal.jobs.plan.information import so_far, told, whitened
-from aridcal.jobs.plan.pose_design import Asked, design
+from aridcal.jobs.plan.information import candidate_information, measured_information, whitened
+from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
 from aridcal.jobs.plan.usual_effects import with_pair
 from aridcal.pages.plan_page import plan_page
 
@@ -93,7 +93,7 @@ def test_two_effects_that_look_alike_are_named_after_the_planned_rows(tmp_path: 
 
     first, twins = found(old)
     assert PAIR[0] not in first or PAIR[1] in twins
-    plan = design(known_of(path), Asked(8, apart=PAIR))
+    plan = design(known_of(path), PlanRequest(8, apart=PAIR))
     new = table_of(known, theta, plan.readings, rng)
     then, twins = found(pd.concat([old, new], ignore_index=True))
     assert PAIR[0] in then and PAIR[1] not in then | twins
@@ -107,13 +107,13 @@ def test_expected_evidence_is_what_a_fit_of_the_rival_leaves(tmp_path: Path) -> 
     readings = POSTURE + rng.uniform(-0.3, 0.3, (40, 6))
     known, theta = bent(path, readings, 12 * NOISE)
     table_of(known, theta, readings, rng).to_csv(tmp_path / "rows.csv", index=False)
-    plan = design(known_of(path), Asked(8, apart=PAIR))
+    plan = design(known_of(path), PlanRequest(8, apart=PAIR))
     wide, parts = with_pair(known_of(path), PAIR, at(plan.readings))
-    flat, residual = so_far(wide, at(plan.readings))
+    flat, residual = measured_information(wide, at(plan.readings))
     new = whitened(wide, at(plan.readings))
     F = np.concatenate([flat, new.reshape(-1, new.shape[2])])
     offered = draw_candidates(wide, 300, 16, np.random.default_rng(np.random.SeedSequence(0).spawn(5)[0]))
-    constants = [k for k in told(wide, offered, 8).kept if k not in {*parts[0], *parts[1]}]
+    constants = [k for k in candidate_information(wide, offered, 8).coefficients if k not in {*parts[0], *parts[1]}]
 
     def left(y: np.ndarray, columns: np.ndarray) -> np.ndarray:
         return y - columns @ np.linalg.lstsq(columns, y, rcond=1e-12)[0]
@@ -133,7 +133,7 @@ def test_an_effect_that_no_row_shows_is_taken_for_one_that_they_would(tmp_path: 
     readings = POSTURE + rng.uniform(-0.3, 0.3, (40, 6))
     known, theta = bent(path, readings, NOISE)
     table_of(known, 0 * theta, readings, rng).to_csv(tmp_path / "rows.csv", index=False)
-    plan = design(known_of(path), Asked(8, apart=PAIR))
+    plan = design(known_of(path), PlanRequest(8, apart=PAIR))
     page = plan_page(plan, known.robot, "c.yaml")
     assert "They are to tell two effects apart" in page and "will be named, if it is four sigmas large" in page
     assert "random ones" not in page  # chosen for something else
@@ -180,4 +180,4 @@ def test_two_criteria_at_once_are_refused(tmp_path: Path, capsys: pytest.Capture
     assert command.main([*arguments, "--optimal", "A"]) == 2
     assert "leave --optimal out" in capsys.readouterr().err
     known = replace(known_of(tmp_path / "campaign.yaml"), sigma=np.full(2, 1e-4))
-    assert all(duel.before < 1e-3 < 30 < duel.after for duel in design(known, Asked(8, apart=PAIR)).duels[:2])
+    assert all(duel.before < 1e-3 < 30 < duel.after for duel in design(known, PlanRequest(8, apart=PAIR)).duels[:2])

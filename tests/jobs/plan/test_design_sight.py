@@ -15,11 +15,11 @@ from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.robot.collisions import lines_touch
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.clearance import apart
 from aridcal.jobs.plan.configurations import draw_candidates, in_base, in_sight, targets_of
 from aridcal.jobs.plan.information import _whitened, problem
-from aridcal.jobs.plan.pose_design import Asked, design
+from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.system.errors import AridcalError, CampaignError
 
@@ -121,7 +121,7 @@ def test_the_target_opens_towards_the_instrument_and_nothing_stands_between(tmp_
 def test_plans_keep_to_what_is_seen_and_the_region_does_not(tmp_path: Path) -> None:
     more = "design: {sight: {at: [2.0, 0.5, 1.0], axis: [0, 0, 1], within: 0.6}}\n"
     known, plain = known_of(tmp_path, more), known_of(tmp_path)
-    plan = design(known, Asked(8))
+    plan = design(known, PlanRequest(8))
     assert in_sight(known, plan.readings, np.zeros(8, dtype=int)).all()
     R, p = targets_of(known, plan.readings, np.zeros(8, dtype=int))
     way = np.array([2.0, 0.5, 1.0]) - p
@@ -181,7 +181,7 @@ def test_inclinations_are_planned_at_what_they_would_read(tmp_path: Path) -> Non
     R, _ = targets_of(known, candidates.readings, candidates.first)
     np.testing.assert_allclose(rows.observed[:, :3], -R[:, 2, :], atol=1e-12)
     np.testing.assert_allclose(_whitened(problem(known.model, rows), known)[1], 0.0, atol=1e-8)
-    plan = design(known, Asked(12))
+    plan = design(known, PlanRequest(12))
     assert plan.at_n.rms < 0.95 * plan.random and "nothing of lengths" in plan.notices[0]
 
 

@@ -20,11 +20,11 @@ import aridcal.init
 from aridcal.engine.robot.chain import load_robot
 from aridcal.files.campaign import load_campaign
 from aridcal.files.formats.makers import maker
-from aridcal.files.formats.numbers_seen import is_number, marks
+from aridcal.files.formats.number_marks import is_number, marks
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import read_tables
 from aridcal.jobs.prepare.campaign_text import draft
-from aridcal.jobs.prepare.guesses import Unanswered, nobody
+from aridcal.jobs.prepare.guesses import OpenChoice, leave_open
 from aridcal.system.errors import AridcalError, MeasurementError
 from aridcal.system.reading.dates import orders, seconds
 from aridcal.system.reading.dialect import Dates, Dialect
@@ -64,7 +64,7 @@ def read_by(out: Path, files: list[Path] | None = None):
 
 def proposed(path: Path, settled: dict[str, int] | None = None) -> Path:
     out = path.with_suffix(".campaign.yaml")
-    made = draft(known("ur10").urdf, [path], out, nobody, settled)
+    made = draft(known("ur10").urdf, [path], out, leave_open, settled)
     out.write_text(made.campaign.text, encoding="utf-8")
     return out
 
@@ -121,7 +121,7 @@ def test_a_question_names_its_key_and_the_answer_given_beforehand_is_kept(tmp_pa
     for wrong, why in (("columns=3", "from 1 to 2"), ("colums=1", "did you mean 'columns'")):
         assert aridcal.init.main([*arguments[:-1], str(tmp_path / "d.yaml"), "--set", wrong]) == 2
         assert why in capsys.readouterr().err
-    with pytest.raises(Unanswered, match="columns"):
+    with pytest.raises(OpenChoice, match="columns"):
         aridcal.propose(known("ur10").urdf, path)
     assert "x: b_x" in aridcal.propose(known("ur10").urdf, path, {"columns": 2}).text
 
@@ -180,7 +180,7 @@ def test_two_files_of_one_campaign_are_written_alike(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_bytes(text(kuka(t), ";", ","))
     (tmp_path / "b.csv").write_bytes(text(kuka(t), "\t", ","))
     with pytest.raises(MeasurementError, match=r"b\.csv: is not written as .*a\.csv is .*tabs.*semicolons"):
-        draft(t.urdf, [tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "c.yaml", nobody)
+        draft(t.urdf, [tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "c.yaml", leave_open)
 
 
 # ---------------------------------------------------------------- numbers, dates, makers

@@ -21,7 +21,7 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.prepare.campaign_text import draft
 from aridcal.jobs.prepare.column_names import match_joints, positions, words
-from aridcal.jobs.prepare.guesses import nobody
+from aridcal.jobs.prepare.guesses import leave_open
 from aridcal.system.errors import AridcalError, MeasurementError
 
 UR10 = URDF / "ur10.urdf"
@@ -162,7 +162,7 @@ def test_a_gripper_that_was_not_recorded_is_left_out_of_the_chain(tmp_path):
     robot = load_robot(urdf, "panda_link8")
     q, p, _ = measured(robot)
     pd.DataFrame(named(" ".join(robot.names), q) | named("x y z", p)).to_csv(tmp_path / "m.csv", index=False)
-    proposal = draft(urdf, [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody).proposal
+    proposal = draft(urdf, [tmp_path / "m.csv"], tmp_path / "c.yaml", leave_open).proposal
     assert proposal.robot.readings == robot.readings
     assert {g.key: g.value for g in proposal.guesses}["measurements.kind"] == "position"
 
@@ -256,7 +256,7 @@ def test_angles_in_two_units_are_told_apart_by_columns(tmp_path):
     robot = load_robot(URDF / "arid.urdf", "flange")
     q, p, _ = measured(robot, 60)
     table = named("axis1 axis2 axis3 axis4", q * [1e3, 1, 1, 1]) | named("x y z", p)
-    made = draft(URDF / "arid.urdf", [pd.DataFrame(table)], tmp_path / "c.yaml", nobody)
+    made = draft(URDF / "arid.urdf", [pd.DataFrame(table)], tmp_path / "c.yaml", leave_open)
     np.testing.assert_allclose(made.rows.readings[made.rows.as_read], q, atol=1e-12)
     assert {g.key: g.value for g in made.proposal.guesses}["measurements.units"] == {"columns": {"axis1": "mm"}}
 
@@ -274,7 +274,7 @@ def test_measurements_of_another_robot_are_called_so(tmp_path):
     rng = np.random.default_rng(0)
     table = named(" ".join(robot.names), q[rng.permutation(len(q))]) | named("x y z", p)
     pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
-    made = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody)
+    made = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", leave_open)
     text, proposal = made.campaign.text, made.proposal
     assert "MUCH" in text
     assert not next(g for g in proposal.guesses if g.key == "measurements.units").sure
@@ -322,7 +322,7 @@ def test_answers_on_the_terminal_are_kept(tmp_path):
     assert asked == ["which link is the tip"]
     assert "  tip: hand\n" in text
     assert "GUESSED" not in text.partition("  tip: ")[0]
-    text = draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody).campaign.text
+    text = draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", leave_open).campaign.text
     assert "GUESSED: end of the chain" in text.partition("  tip: ")[0]
 
 

@@ -28,11 +28,11 @@ from scipy.spatial.transform import Rotation
 from six_axes import robot
 
 from aridcal.engine.robot.chain import parse_robot
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.fanuc import ROW
 from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
-from aridcal.jobs.apply.programs.project import Project, Source
-from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.project import Project, SourceFile
+from aridcal.jobs.apply.programs.targets import PoseReference, Target
 
 MARKS = re.compile("[⟦⟧⟨⟩]")
 
@@ -51,14 +51,14 @@ def stated(frames: KnownFrames | None = None) -> Cell:
     return Cell(ARM, frames if frames is not None else KnownFrames(eye, eye, j3_from_link_2=True))
 
 
-def read(text: str, cell: Cell | None = None, ours: bool = True, **others: str) -> Reading:
+def read(text: str, cell: Cell | None = None, ours: bool = True, **others: str) -> ProgramReading:
     """What is read of a program and of other files that are not corrected."""
-    sources = [Source(Path("main.ls"), text, ours)]
-    sources += [Source(Path(name.replace("_", ".")), other, False) for name, other in others.items()]
+    sources = [SourceFile(Path("main.ls"), text, ours)]
+    sources += [SourceFile(Path(name.replace("_", ".")), other, False) for name, other in others.items()]
     return ROW.read(Project(tuple(sources)), cell or stated())
 
 
-def by_name(reading: Reading) -> dict[str, Target]:
+def by_name(reading: ProgramReading) -> dict[str, Target]:
     return {target.name: target for target in reading.targets}
 
 
@@ -66,7 +66,7 @@ def why(text: str, name: str = "P[1]", **others: str) -> str:
     return by_name(read(text, None, True, **others))[name].why
 
 
-def place(text: str, cell: Cell | None = None, name: str = "P[1]", **others: str) -> Place:
+def place(text: str, cell: Cell | None = None, name: str = "P[1]", **others: str) -> PoseReference:
     target = by_name(read(text, cell, True, **others))[name]
     assert target.why == "" and target.place is not None
     return target.place
@@ -75,7 +75,7 @@ def place(text: str, cell: Cell | None = None, name: str = "P[1]", **others: str
 def marked(files: dict[str, str], cell: Cell) -> list[tuple[str, bool]]:
     """The mark before each marked number, and whether the target that it belongs to is corrected."""
     plain = {name: MARKS.sub("", text) for name, text in files.items()}
-    sources = tuple(Source(Path(name), text, True) for name, text in plain.items())
+    sources = tuple(SourceFile(Path(name), text, True) for name, text in plain.items())
     targets = ROW.read(Project(sources), cell).targets
     corrected = {(t.file, n.start) for t in targets if not t.why for n in t.numbers}
     return [

@@ -10,12 +10,12 @@ import pytest
 from made_gcode import gantry
 from robots import ur10
 
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import KnownFrames
 from aridcal.jobs.apply.programs.gcode import ROW
 from aridcal.jobs.apply.programs.gcode.table import CODES, START
-from aridcal.jobs.apply.programs.project import Project, Source
-from aridcal.jobs.apply.programs.proof import Change, corrected, edited, meant
+from aridcal.jobs.apply.programs.project import Project, SourceFile
+from aridcal.jobs.apply.programs.proof import TextChange, corrected, edit_texts, expected_targets
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import Numbers, written
 from aridcal.system.errors import AridcalError
@@ -36,8 +36,8 @@ FRAMES = KnownFrames(
 HEAD = "G90 G21 G54\n"
 
 
-def reading(text: str, start: bool = False, rotary: bool = False, frames: KnownFrames = FRAMES) -> Reading:
-    project = Project((Source(Path("a.nc"), text),))
+def reading(text: str, start: bool = False, rotary: bool = False, frames: KnownFrames = FRAMES) -> ProgramReading:
+    project = Project((SourceFile(Path("a.nc"), text),))
     return ROW.read(project, Cell(gantry(rotary), frames, (), start))
 
 
@@ -182,7 +182,7 @@ def test_what_is_taken_for_granted_is_said() -> None:
 
 def test_an_arm_has_no_letters() -> None:
     with pytest.raises(AridcalError, match="sliding and 6 turning joints"):
-        ROW.read(Project((Source(Path("a.nc"), "G0 X1"),)), Cell(ur10(), FRAMES))
+        ROW.read(Project((SourceFile(Path("a.nc"), "G0 X1"),)), Cell(ur10(), FRAMES))
 
 
 def test_every_row_of_the_table_that_sets_a_mode_sets_one_that_exists() -> None:
@@ -220,14 +220,14 @@ def test_a_comment_is_put_in_behind_everything_and_changes_no_target() -> None:
 
 def test_a_correction_is_proved() -> None:
     text = HEAD + "G55\nG0 Z5\nX10 Y-3.25\nG1 Z-1.5 F100\nG20\nG1 X1 Y.5\nM30\n"
-    project, cell = Project((Source(Path("a.nc"), text),)), Cell(gantry(False), FRAMES)
+    project, cell = Project((SourceFile(Path("a.nc"), text),)), Cell(gantry(False), FRAMES)
     found = list(ROW.read(project, cell).targets)
     changes = [
-        Change(0, Numbers([number]), written(number.value + 0.123456, number.text, digits))
+        TextChange(0, Numbers([number]), written(number.value + 0.123456, number.text, digits))
         for target in found if not target.why
         for number, digits in zip(target.numbers, target.places, strict=True)
     ]  # fmt: skip
-    (new,) = corrected(ROW, project, cell, meant(found), edited(project, changes))
+    (new,) = corrected(ROW, project, cell, expected_targets(found), edit_texts(project, changes))
     assert new == HEAD + "G55\nG0 Z5\nX10.1235 Y-3.1265\nG1 Z-1.3765 F100\nG20\nG1 X1.12346 Y.62346\nM30\n".replace(
         "Y.6", "Y0.6"
     )

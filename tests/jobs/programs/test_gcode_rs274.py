@@ -14,7 +14,7 @@ from made_gcode import gantry
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.frames import KnownFrames
 from aridcal.jobs.apply.programs.gcode import ROW
-from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.project import Project, SourceFile
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import Number, written
 
@@ -50,7 +50,7 @@ def cell() -> Cell:
 
 
 def read(text: str) -> list[Target]:
-    return list(ROW.read(Project((Source(Path("a.ngc"), text),)), cell()).targets)
+    return list(ROW.read(Project((SourceFile(Path("a.ngc"), text),)), cell()).targets)
 
 
 class Maker:

@@ -16,13 +16,13 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.jobs.apply.programs.axes import DEGREE
 from aridcal.jobs.apply.programs.axis_zeros import senses_hint
 from aridcal.jobs.apply.programs.branches import flange
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.correct import OTHER_SIDE, correct
 from aridcal.jobs.apply.programs.corrections import Corrections
 from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
 from aridcal.jobs.apply.programs.notations import YASKAWA
-from aridcal.jobs.apply.programs.project import Project, Source
-from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.project import Project, SourceFile
+from aridcal.jobs.apply.programs.targets import PoseReference, Target
 from aridcal.jobs.apply.programs.yaskawa import ROW
 from aridcal.jobs.apply.programs.yaskawa.project import context
 from aridcal.system.errors import CampaignError
@@ -52,18 +52,18 @@ def cell(frames: str = FRAMES, folder: Path | None = None, arm: Robot | None = N
     return Cell(arm or ur10(), known, (), start)
 
 
-def read(text: str, own: Cell, **others: str) -> Reading:
+def read(text: str, own: Cell, **others: str) -> ProgramReading:
     """What is read of a job and of other files that are not corrected."""
-    sources = [Source(Path("MAIN.JBI"), text)]
-    sources += [Source(Path(name.replace("_", ".")), other, False) for name, other in others.items()]
+    sources = [SourceFile(Path("MAIN.JBI"), text)]
+    sources += [SourceFile(Path(name.replace("_", ".")), other, False) for name, other in others.items()]
     return ROW.read(Project(tuple(sources)), own)
 
 
-def by_name(reading: Reading) -> dict[str, Target]:
+def by_name(reading: ProgramReading) -> dict[str, Target]:
     return {target.name: target for target in reading.targets}
 
 
-def place(text: str, own: Cell, name: str = "C00001", **others: str) -> Place:
+def place(text: str, own: Cell, name: str = "C00001", **others: str) -> PoseReference:
     target = by_name(read(text, own, **others))[name]
     assert target.why == "" and target.place is not None
     return target.place
@@ -194,7 +194,7 @@ def test_a_relative_job_is_in_the_frame_that_its_caller_names(tmp_path: Path) ->
     alone = read(sub, own)
     assert any("relative jobs" in note for note in alone.notes)
     reading = ROW.read(
-        Project((Source(Path("MAIN.JBI"), job(["CALL JOB:SUB UF#(2)"])), Source(Path("SUB.JBI"), sub))), own
+        Project((SourceFile(Path("MAIN.JBI"), job(["CALL JOB:SUB UF#(2)"])), SourceFile(Path("SUB.JBI"), sub))), own
     )
     found = by_name(reading)
     step = found["C00001"].place

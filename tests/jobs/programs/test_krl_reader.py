@@ -14,19 +14,19 @@ from program_attacks.krl import ATTACKS, BEGIN, CONFIG, FORM, FRAME, FULL, GOOD,
 from programs_marked import cell_of, project_of, wrong
 from robots import ur10
 
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import KnownFrames
 from aridcal.jobs.apply.programs.krl import ROW, table
 from aridcal.jobs.apply.programs.krl.writing import END_OF_FILE
 from aridcal.jobs.apply.programs.moves import Moves, Stop
 from aridcal.jobs.apply.programs.notations import KUKA
-from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.project import Project, SourceFile
 from aridcal.jobs.apply.programs.targets import Target
 
 CELL = Cell(ur10())
 
 
-def read(files: Mapping[str, str], cell: Cell = CELL) -> Reading:
+def read(files: Mapping[str, str], cell: Cell = CELL) -> ProgramReading:
     """A project as the reader has it; names that begin with ``$`` are context."""
     _, sources, _ = project_of(files)
     return ROW.read(sources, cell)
@@ -228,7 +228,7 @@ def test_what_is_in_no_table_is_not_taken_as_harmless() -> None:
 def test_line_ends_marks_and_cases_change_nothing(line_end: str) -> None:
     text = program(f"$BASE={FRAME}\nLIN {POSE}")["a.src"]
     for form in (text, text.lower(), "\xef\xbb\xbf" + text, text + END_OF_FILE, text.replace(" ", "\t")):
-        targets = ROW.read(Project((Source(Path("a.src"), form.replace("\n", line_end)),)), CELL).targets
+        targets = ROW.read(Project((SourceFile(Path("a.src"), form.replace("\n", line_end)),)), CELL).targets
         assert [t.why for t in targets] == ["", ""]
         assert targets[1].place is not None
         np.testing.assert_allclose(targets[1].place.base, frame(FRAME), atol=1e-12)
@@ -245,7 +245,7 @@ def test_the_mark_of_a_corrected_program_changes_no_target() -> None:
         place, insertion = ROW.comment(own, "corrected by a calibration") if ROW.comment else (0, "")
         marked = own[:place] + insertion + own[place:]
         assert insertion.lstrip().startswith(";") and insertion.endswith("\n")
-        before, after = (ROW.read(Project((Source(Path("a.src"), t),)), CELL).targets for t in (own, marked))
+        before, after = (ROW.read(Project((SourceFile(Path("a.src"), t),)), CELL).targets for t in (own, marked))
         assert [(t.line, t.numbers, t.why) for t in before] == [(t.line, t.numbers, t.why) for t in after]
 
 
@@ -272,7 +272,7 @@ def test_planned_moves_are_read_back_as_they_were_planned() -> None:
     made = Moves("cell", tuple("abcdef"), ("revolute",) * 6, (Stop(readings, 0, ""), Stop(-readings, 1, "x")), 0.5)
     assert ROW.write is not None
     text = "".join(f"{line}\n" for line in ROW.write(made, "poses"))
-    targets = ROW.read(Project((Source(Path("poses.src"), text),)), CELL).targets
+    targets = ROW.read(Project((SourceFile(Path("poses.src"), text),)), CELL).targets
     assert [t.why for t in targets] == ["", ""]
     np.testing.assert_allclose(targets[1].readings, -readings, atol=1e-6)
 
@@ -310,7 +310,7 @@ def test_no_text_ends_in_an_exception() -> None:
             at = int(rng.integers(len(text) + 1))
             text = text[:at] + str(rng.choice(pieces)) + text[at + int(rng.integers(0, 6)) :]
         name = "a.dat" if text.startswith("DEFDAT") else "a.src"
-        for target in ROW.read(Project((Source(Path(name), text),)), CELL).targets:
+        for target in ROW.read(Project((SourceFile(Path(name), text),)), CELL).targets:
             assert target.why or (target.numbers and np.isfinite(target.values).all())
             for number in target.numbers:
                 assert text[number.start : number.end] == number.text
@@ -321,7 +321,7 @@ def test_no_text_ends_in_an_exception() -> None:
 )
 def test_files_without_a_program_have_no_targets_that_are_corrected(text: str) -> None:
     for name in ("a.src", "a.dat"):
-        assert all(t.why for t in ROW.read(Project((Source(Path(name), text),)), CELL).targets)
+        assert all(t.why for t in ROW.read(Project((SourceFile(Path(name), text),)), CELL).targets)
 
 
 def test_programs_with_too_many_ways_are_left_as_a_whole() -> None:

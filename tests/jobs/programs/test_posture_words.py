@@ -19,12 +19,18 @@ from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.jobs.apply.programs import fanuc, krl, rapid
-from aridcal.jobs.apply.programs.axis_zeros import WITNESSES, cell_zeros, senses_hint, without_mirrored, zeros_hint
+from aridcal.jobs.apply.programs.axis_zeros import (
+    LEAST_WITNESSES,
+    cell_zeros,
+    senses_hint,
+    without_mirrored,
+    zeros_hint,
+)
 from aridcal.jobs.apply.programs.branches import flange
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.notations import KUKA as NOTATION
-from aridcal.jobs.apply.programs.postures import EITHER, fanuc_words, krl_words, rapid_words, unread
-from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.postures import EITHER, fanuc_words, krl_words, rapid_words, unread_words
+from aridcal.jobs.apply.programs.project import Project, SourceFile
 from aridcal.jobs.apply.programs.rewrite import Request, correct_programs
 from aridcal.jobs.apply.programs.sentences import lines_of
 from aridcal.jobs.apply.programs.targets import Branch, Target, Words
@@ -263,9 +269,10 @@ def test_the_posture_of_an_arm_of_another_build_is_kept_and_that_is_said() -> No
         assert krl_of(cell, "5", "0").texts(q) == ("5", "0")
         assert rapid_of(cell, "0", "0", "0", "5").texts(q) == ("0", "0", "0", "5")
         assert fanuc_of(cell, "FDB", "0", "0", "0").texts(q) == tuple("FDB000")
-    assert all(unread(row.name, cell) for row in (krl.ROW, rapid.ROW, fanuc.ROW))
+    assert all(unread_words(row.name, cell) for row in (krl.ROW, rapid.ROW, fanuc.ROW))
     assert not any(
-        unread(row.name, Cell(arm.robot())) for row, arm in ((krl.ROW, KUKA), (rapid.ROW, ABB), (fanuc.ROW, FANUC))
+        unread_words(row.name, Cell(arm.robot()))
+        for row, arm in ((krl.ROW, KUKA), (rapid.ROW, ABB), (fanuc.ROW, FANUC))
     )
 
 
@@ -286,7 +293,7 @@ def test_an_abb_that_cannot_bend_backwards_keeps_its_cfx_and_that_is_said() -> N
     rod = Cell(ABB.robot(limits))
     assert rapid_of(rod, "0", "0", "0", "0").agree(degrees(10, 20, 10, 10, -45, 10))
     assert not rapid_of(Cell(ABB.robot()), "0", "0", "0", "0").agree(degrees(10, 20, 10, 10, -45, 10))
-    assert "cfx" in unread(rapid.ROW.name, rod)
+    assert "cfx" in unread_words(rapid.ROW.name, rod)
 
 
 @pytest.mark.parametrize("mount", ['rpy="3.141592653589793 0 0"', 'rpy="0 1.5707963267948966 0.3" xyz="1 2 3"'])
@@ -381,7 +388,7 @@ def test_nothing_is_said_of_zeros_that_are_right_or_stated_or_not_contradicted()
     for cell in (right, stated):
         assert zeros_hint(*kuka_program(cell), cell, krl.ROW.name) == ""
     assert zeros_hint([home(stated, 0, -90, 90, 0, 0, 0)], [[]], stated, krl.ROW.name) == ""
-    assert zeros_hint(*kuka_program(bare, WITNESSES - 1), bare, krl.ROW.name) == ""
+    assert zeros_hint(*kuka_program(bare, LEAST_WITNESSES - 1), bare, krl.ROW.name) == ""
     assert zeros_hint(*kuka_program(bare, words=False), bare, krl.ROW.name) == ""
     own = [
         replace(t, branch=Branch(krl_of(bare, *some(krl_of(bare, "0", "0").texts(stands[0])))))
@@ -452,7 +459,7 @@ def test_a_program_that_speaks_against_the_zeros_is_answered_with_what_to_state(
 def unlike(robot: Robot, text: str) -> Sequence[Target]:
     """Targets of a KRL program for an arm of six axes, left where some of them turn the other way."""
     cell = Cell(robot)
-    reading = krl.ROW.read(Project((Source(Path("a.src"), text),)), cell)
+    reading = krl.ROW.read(Project((SourceFile(Path("a.src"), text),)), cell)
     return without_mirrored(reading.targets, cell, krl.ROW.name)
 
 

@@ -18,15 +18,15 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.instruments.pose import rotation_vector
 from aridcal.engine.inverse.many_poses import ArmRows, InverseRows
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.jobs.apply.programs import branches, correct
 from aridcal.jobs.apply.programs.branches import Controller, Poses, controller, flange, flanges
 from aridcal.jobs.apply.programs.corrections import Correction, as_table
 from aridcal.jobs.apply.programs.notations import ABB, FANUC, KUKA, UR, pose
-from aridcal.jobs.apply.programs.targets import Branch, Notation, Place, Target, Words
-from aridcal.jobs.apply.programs.text import LARGEST, Number, Numbers
+from aridcal.jobs.apply.programs.targets import Branch, Notation, PoseReference, Target, Words
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, Number, Numbers
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 
 HOME = np.array([0.3, -1.2, 1.5, -1.5, -1.4, 0.2])
@@ -67,9 +67,11 @@ def stated(q: np.ndarray, *axes: int) -> Target:
     return Target(1, "joints", "joints", Numbers(texts), readings=readings, units=tuple((1.0, k) for k in axes))
 
 
-def shown(robot: Robot, q: np.ndarray, notation: Notation = UR, place: Place | None = None, **branch: object) -> Target:
+def shown(
+    robot: Robot, q: np.ndarray, notation: Notation = UR, place: PoseReference | None = None, **branch: object
+) -> Target:
     """A target that is a pose."""
-    place = place or Place(np.eye(4), np.eye(4))
+    place = place or PoseReference(np.eye(4), np.eye(4))
     T = np.linalg.inv(place.base) @ flange(robot, q) @ place.tool
     texts = numbers(notation.numbers(T, np.ones(7)[: len(notation.digits)]), 6)
     return Target(1, "pose", "pose", Numbers(texts), notation=notation, place=place, branch=Branch(**branch))  # type: ignore[arg-type]
@@ -108,7 +110,7 @@ def sent(robot: Robot, c: Correction, q: np.ndarray) -> np.ndarray:
     return commanded(robot, c.target.place, c.target.notation.pose(now(c)), q)
 
 
-def commanded(robot: Robot, place: Place, T: np.ndarray, q: np.ndarray) -> np.ndarray:
+def commanded(robot: Robot, place: PoseReference, T: np.ndarray, q: np.ndarray) -> np.ndarray:
     wanted = place.base @ T @ np.linalg.inv(place.tool)
     found = controller(robot).command(wanted[:3, :3], wanted[:3, 3], q, {})
     assert found.reached
@@ -130,7 +132,7 @@ def test_the_true_arm_comes_to_the_places_of_joints_and_of_poses_in_any_frame_wi
     robot, wide = m.model.robot, replace(m.saved, ranges=dict.fromkeys(m.model.robot.readings, (-6.0, 6.0)))
     ways, targets = seam(60, rng), []
     for k, q in enumerate(ways):
-        place = Place(frame(rng, 1.0), frame(rng, 0.2))
+        place = PoseReference(frame(rng, 1.0), frame(rng, 0.2))
         targets.append(stated(q) if k % 5 == 0 else shown(robot, q, NOTATIONS[name], place))
     found = correct.correct(wide, targets, {})
     assert [c.why for c in found] == [""] * 60
@@ -163,7 +165,7 @@ def mixed(n: int, rng: np.random.Generator) -> list[Target]:
     found = []
     for k, q in enumerate(crossing(n, rng)):
         target = shown(robots.ur10(), q) if k % 3 else stated(q, *((0, 4) if k % 6 == 3 else ()))
-        far = Place(pose(np.array([9.0, 0.0, 0.0]), Rotation.identity()), np.eye(4))
+        far = PoseReference(pose(np.array([9.0, 0.0, 0.0]), Rotation.identity()), np.eye(4))
         found.append(replace(target, place=far) if k % 7 == 4 and target.place else target)
     return found
 
@@ -183,7 +185,7 @@ def test_many_targets_at_once_are_corrected_as_one_after_the_other(name: str, mo
     saved = real(*BACKLASH)
     targets = PROGRAMS[name](30, np.random.default_rng(11))
     together = correct.correct(saved, targets, {}, HOME)
-    monkeypatch.setattr(correct, "AT_ONCE", 1)
+    monkeypatch.setattr(correct, "TARGETS_AT_ONCE", 1)
     apart = correct.correct(saved, targets, {}, HOME)
     assert [(c.why, c.remark) for c in together] == [(c.why, c.remark) for c in apart]
     for one, other in zip(together, apart, strict=True):
@@ -306,12 +308,14 @@ def test_three_reasons_not_to_get_to_a_pose_are_told_apart() -> None:
     )  # the first axis stops at 2.9, and all others would have to turn over
     targets = [
         shown(robot, q, held=held, words=bits(1, 3)("11")),
-        replace(shown(robot, q, held=held), place=Place(pose(np.array([9.0, 0, 0]), Rotation.identity()), np.eye(4))),
+        replace(
+            shown(robot, q, held=held), place=PoseReference(pose(np.array([9.0, 0, 0]), Rotation.identity()), np.eye(4))
+        ),
         shown(robot, beyond, held=held),
     ]
     found = correct.correct(saved, targets, {}, q)
     assert found[0].why == "its posture (signs) is none that the nominal arm has there"
-    assert found[1].why == correct.NOWHERE
+    assert found[1].why == correct.NOT_NOMINAL
     assert found[2].why == correct.LIMITED
 
 
@@ -357,7 +361,7 @@ def test_numbers_that_are_used_a_constant_way_off_are_corrected_where_that_helps
     turned = pose(np.zeros(3), Rotation.from_rotvec([0.0, 0.0, 2.5]))  # another way round, on the same pose
     one = OneRowModel(saved.final.model, saved.final.theta)
     for beside, worth in (([near], True), ([near, far], True), ([turned], False), ([near, turned], False)):
-        places = tuple(Place(np.eye(4), np.linalg.inv(shift)) for shift in beside)
+        places = tuple(PoseReference(np.eye(4), np.linalg.inv(shift)) for shift in beside)
         target = shown(robot, HOME)
         found = correct.correct(saved, [replace(target, beside=places)], {}, HOME)
         (c,) = found
@@ -370,7 +374,7 @@ def test_numbers_that_are_used_a_constant_way_off_are_corrected_where_that_helps
             remains.append([float(np.linalg.norm(one.pose(q, one.still)[1] - wanted)) for q in (was, will)])
         assert c.beside == pytest.approx(max(after for _, after in remains), abs=1e-7)
         if worth:
-            assert c.remark == correct.BESIDE
+            assert c.remark == correct.ALSO_A_CONSTANT
             assert all(after < 0.5 * before for before, after in remains)
             assert f"{1e3 * c.beside:.6f} mm" in as_table(found)["remark"][0]
         else:
@@ -384,7 +388,7 @@ def test_what_is_left_stays_as_it_is_and_changes_name_the_file() -> None:
     found = correct.correct(saved, targets, {}, HOME, told.append)
     _, beyond, spoilt = found
     assert {change.file for change in found.changes()} == {3}
-    assert (beyond.why, spoilt.why) == (correct.BEYOND, "line 3 computes with it")
+    assert (beyond.why, spoilt.why) == (correct.BEYOND_MEASURED, "line 3 computes with it")
     assert beyond.texts == spoilt.texts == ()
     assert told == [0]
     table = as_table(found)
@@ -475,15 +479,15 @@ def test_windows_of_any_size_give_the_same_walk(monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr(branches, "USUAL", size)
         found.append(Controller(robot).walk(chain, HOME, {})[0])
     for other in found[1:]:  # with the elbow straight, readings are less sharp than the tip's place
-        np.testing.assert_allclose(other, found[0], atol=branches.SAME)
-        np.testing.assert_allclose(flanges(robot, other), flanges(robot, found[0]), atol=2 * branches.EXACT)
+        np.testing.assert_allclose(other, found[0], atol=branches.SAME_POSITION)
+        np.testing.assert_allclose(flanges(robot, other), flanges(robot, found[0]), atol=2 * branches.REACHED_TOLERANCE)
 
 
 def test_numbers_that_a_correction_makes_larger_than_any_arm_has_are_left() -> None:
     """What is written must be read again as a target: a reader refuses such numbers."""
     endless = robots.random_chain(np.random.default_rng(2), kinds="CCCCCC")
-    saved = real(urdf=endless, turn=2 * LARGEST)
-    q = np.array([LARGEST, -1.2, 1.5, -1.5, -1.4, 0.2])
+    saved = real(urdf=endless, turn=2 * LARGEST_IN_PROGRAM)
+    q = np.array([LARGEST_IN_PROGRAM, -1.2, 1.5, -1.5, -1.4, 0.2])
     found = [correct.correct(saved, [stated(q * [sign, 1, 1, 1, 1, 1])], {})[0] for sign in (1.0, -1.0)]
     assert sorted(c.why for c in found) == ["", correct.TOO_LARGE]
-    assert all(abs(float(text)) <= LARGEST for c in found for text in c.texts)
+    assert all(abs(float(text)) <= LARGEST_IN_PROGRAM for c in found for text in c.texts)

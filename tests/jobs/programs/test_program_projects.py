@@ -14,12 +14,12 @@ from made_programs import unmarked
 
 from aridcal.compensate import main as compensate
 from aridcal.jobs.apply.programs import krl, rewrite
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.language import Language
-from aridcal.jobs.apply.programs.project import Project, Source
-from aridcal.jobs.apply.programs.proof import Change, Unproved, corrected, edited, meant
+from aridcal.jobs.apply.programs.project import Project, SourceFile
+from aridcal.jobs.apply.programs.proof import ProofFailure, TextChange, corrected, edit_texts, expected_targets
 from aridcal.jobs.apply.programs.read_project import read_project
-from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.targets import PoseReference, Target
 from aridcal.jobs.apply.programs.text import NUL, Number, Numbers
 
 POINT = "{X 700.0,Y 100.0,Z 600.0,A 0.0,B 90.0,C 0.0}"
@@ -162,22 +162,32 @@ def test_nothing_is_written_where_the_new_text_does_not_say_what_was_meant(
 
 
 def test_a_proof_fails_for_two_changes_at_one_place_and_for_a_number_that_is_not_there() -> None:
-    project = Project((Source(Path("a.src"), SOURCE.replace("XP1", POINT)),))
+    project = Project((SourceFile(Path("a.src"), SOURCE.replace("XP1", POINT)),))
     frames = Cell(arm().model.robot)
     targets = krl.ROW.read(project, frames).targets
     (joints,) = [target for target in targets if target.form == "joints"]
     first = joints.numbers[0]
-    right = Change(0, Numbers([first]), "20.5")
-    assert "A1 20.5," in corrected(krl.ROW, project, frames, meant(targets), edited(project, [right]))[0]
-    with pytest.raises(Unproved, match="two changes at one place"):
-        corrected(krl.ROW, project, frames, meant(targets), edited(project, [right, right]))
-    with pytest.raises(Unproved):
+    right = TextChange(0, Numbers([first]), "20.5")
+    assert "A1 20.5," in corrected(krl.ROW, project, frames, expected_targets(targets), edit_texts(project, [right]))[0]
+    with pytest.raises(ProofFailure, match="two changes at one place"):
+        corrected(krl.ROW, project, frames, expected_targets(targets), edit_texts(project, [right, right]))
+    with pytest.raises(ProofFailure):
         corrected(
-            krl.ROW, project, frames, meant(targets), edited(project, [Change(0, Numbers([first]), "20.5,A2 1.0")])
+            krl.ROW,
+            project,
+            frames,
+            expected_targets(targets),
+            edit_texts(project, [TextChange(0, Numbers([first]), "20.5,A2 1.0")]),
         )
     moved = type(first)(first.start - 1, first.text)
-    with pytest.raises(Unproved, match="does not stand where it should"):
-        corrected(krl.ROW, project, frames, meant(targets), edited(project, [Change(0, Numbers([moved]), "20.5")]))
+    with pytest.raises(ProofFailure, match="does not stand where it should"):
+        corrected(
+            krl.ROW,
+            project,
+            frames,
+            expected_targets(targets),
+            edit_texts(project, [TextChange(0, Numbers([moved]), "20.5")]),
+        )
 
 
 SLIPS: dict[str, Callable[[Target], Target]] = {
@@ -186,7 +196,7 @@ SLIPS: dict[str, Callable[[Target], Target]] = {
     "one less": lambda t: replace(t, numbers=Numbers(t.numbers[:-1])),
     "another line": lambda t: replace(t, line=t.line + 1),
     "left": lambda t: replace(t, why="is computed"),
-    "another frame": lambda t: replace(t, place=Place(t.place.base + 1e-12, t.place.tool)),
+    "another frame": lambda t: replace(t, place=PoseReference(t.place.base + 1e-12, t.place.tool)),
     "no frame": lambda t: replace(t, place=None),
     "another turn": lambda t: replace(
         t,
@@ -212,16 +222,20 @@ def test_a_proof_fails_whatever_the_second_reading_has_otherwise(slip: str) -> N
     point = "{X 800,Y 100,Z 900,A 10,B 20,C 30,S 2,T 10}"
     moves = "\n".join(f"PTP {point}" for _ in range(3))
     text = f"DEF a()\n$BASE = {{X 0,Y 0,Z 0,A 0,B 0,C 0}}\n$TOOL = {{X 0,Y 0,Z 0,A 0,B 0,C 0}}\n{moves}\nEND\n"
-    project, frames = Project((Source(Path("a.src"), text),)), Cell(arm().model.robot)
+    project, frames = Project((SourceFile(Path("a.src"), text),)), Cell(arm().model.robot)
     targets = list(krl.ROW.read(project, frames).targets)
     assert [t.why for t in targets] == [""] * 3 and targets[1].branch.words is not None
-    changes = [Change(0, t.numbers, NUL.join(f"{number.value + 1.125:.3f}" for number in t.numbers)) for t in targets]
+    changes = [
+        TextChange(0, t.numbers, NUL.join(f"{number.value + 1.125:.3f}" for number in t.numbers)) for t in targets
+    ]
 
-    def slipped(project: Project, cell: Cell) -> Reading:
+    def slipped(project: Project, cell: Cell) -> ProgramReading:
         first, second, third = krl.ROW.read(project, cell).targets
-        return Reading([first, SLIPS[slip](second), third])
+        return ProgramReading([first, SLIPS[slip](second), third])
 
-    (new,) = corrected(krl.ROW, project, frames, meant(targets), edited(project, changes))
+    (new,) = corrected(krl.ROW, project, frames, expected_targets(targets), edit_texts(project, changes))
     assert new.count("X 801.125,") == 3
-    with pytest.raises(Unproved, match=f"line {targets[1].line}, "):
-        corrected(replace(krl.ROW, read=slipped), project, frames, meant(targets), edited(project, changes))
+    with pytest.raises(ProofFailure, match=f"line {targets[1].line}, "):
+        corrected(
+            replace(krl.ROW, read=slipped), project, frames, expected_targets(targets), edit_texts(project, changes)
+        )

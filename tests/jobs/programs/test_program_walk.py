@@ -17,10 +17,10 @@ from aridcal.jobs.apply.programs.walk import (
     Leave,
     Mark,
     Node,
+    ProgramState,
     Repeat,
-    State,
     Step,
-    TooLong,
+    TooManyWays,
     Unknown,
     Walk,
 )
@@ -32,7 +32,7 @@ class Toy:
     def __init__(self) -> None:
         self.seen: dict[str, list[dict[str, object]]] = {}
 
-    def step(self, what: object, state: State) -> None:
+    def step(self, what: object, state: ProgramState) -> None:
         assert isinstance(what, tuple)
         if what[0] == "set":
             state.set("v", what[1], what[2])
@@ -45,15 +45,15 @@ class Toy:
         elif state.recording:
             self.seen.setdefault(what[1], []).append({name: state.get("v", name) for name in "abc"})
 
-    def enter(self, what: object, name: str, state: State) -> None:
+    def enter(self, what: object, name: str, state: ProgramState) -> None:
         if what == "local":
             state.set("v", "c", "parameter")
 
-    def leave(self, what: object, name: str, state: State) -> None:
+    def leave(self, what: object, name: str, state: ProgramState) -> None:
         if what == "local":
             state.drop("v", "c")
 
-    def absent(self, what: object, name: str, state: State) -> None:
+    def absent(self, what: object, name: str, state: ProgramState) -> None:
         state.forget_all(name)
 
 
@@ -68,7 +68,7 @@ def see(label: str = "here") -> Step:
 def walked(body: Body, **routines: Body) -> dict[str, list[dict[str, object]]]:
     """What is certain wherever the program looks."""
     toy = Toy()
-    Walk({"main": body, **routines}, toy).enter("main", State())
+    Walk({"main": body, **routines}, toy).enter("main", ProgramState())
     return toy.seen
 
 
@@ -150,7 +150,7 @@ def test_a_local_name_ends_with_its_routine() -> None:
 def test_what_an_interrupt_sets_is_never_certain() -> None:
     toy = Toy()
     walk = Walk({"main": [put("a", 1), put("b", 2), see()], "trap": [put("a", 5)]}, toy)
-    state = State()
+    state = ProgramState()
     state.volatile(walk.writes("trap", state), "an interrupt")
     walk.enter("main", state)
     assert isinstance(toy.seen["here"][0]["a"], Unknown) and toy.seen["here"][0]["b"] == 2
@@ -159,18 +159,18 @@ def test_what_an_interrupt_sets_is_never_certain() -> None:
 def test_what_an_interrupt_sets_is_told_also_where_it_never_ends() -> None:
     toy = Toy()
     walk = Walk({"trap": [put("a", 5), Mark("x"), Jump("x")], "stop": [put("b", 1), Leave("program")]}, toy)
-    assert walk.writes("trap", State()) == [("v", "a")]
-    assert walk.writes("stop", State()) == [("v", "b")]
+    assert walk.writes("trap", ProgramState()) == [("v", "a")]
+    assert walk.writes("stop", ProgramState()) == [("v", "b")]
 
 
 def test_programs_with_too_many_ways_are_given_up() -> None:
     body: Body = [put("a", 1), see()]
     for _ in range(40):
         body = [Repeat((put("b", 2), *body))]
-    with pytest.raises(TooLong):
+    with pytest.raises(TooManyWays):
         walked(body)
     chain = {f"f{k}": [Call(f"f{k + 1}", None)] for k in range(2 * DEEPEST)}
-    with pytest.raises(TooLong):
+    with pytest.raises(TooManyWays):
         walked([Call("f0", None)], **chain)
 
 
@@ -182,7 +182,7 @@ def test_nothing_is_called_certain_that_a_run_contradicts(seed: int) -> None:
     routines = {"f": _random_body(rng, 2), "g": _random_body(rng, 2)}
     try:
         claims = walked([*body, see("end")], **routines)
-    except TooLong:
+    except TooManyWays:
         return
     for _ in range(150):
         for label, values in _run([*body, see("end")], routines, rng):

@@ -28,7 +28,7 @@ from aridcal.engine.robot.tree import read_tree
 from aridcal.jobs.apply.programs import gcode
 from aridcal.jobs.apply.programs.branches import flange
 from aridcal.jobs.apply.programs.cell import Cell
-from aridcal.jobs.apply.programs.correct import NOWHERE, correct
+from aridcal.jobs.apply.programs.correct import NOT_NOMINAL, correct
 from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
 from aridcal.jobs.apply.programs.languages import language_of
 from aridcal.jobs.apply.programs.notations import ABB as OUR_ABB
@@ -36,7 +36,7 @@ from aridcal.jobs.apply.programs.notations import FANUC as OUR_FANUC
 from aridcal.jobs.apply.programs.notations import KUKA as OUR_KUKA
 from aridcal.jobs.apply.programs.notations import UR as OUR_UR
 from aridcal.jobs.apply.programs.notations import YASKAWA as OUR_YASKAWA
-from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.project import Project, SourceFile
 from aridcal.jobs.apply.programs.targets import Notation
 from aridcal.jobs.apply.programs.text import written
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
@@ -141,7 +141,7 @@ def test_a_program_that_is_cut_or_garbled_anywhere_is_read_or_left_but_never_bre
         language = language_of(Path(f"p{ending}"))
         assert language is not None
         with suppress(AridcalError):
-            for target in language.read(Project((Source(Path(f"p{ending}"), garbled),)), CELL).targets:
+            for target in language.read(Project((SourceFile(Path(f"p{ending}"), garbled),)), CELL).targets:
                 assert target.why or np.isfinite(target.values).all()
                 assert all(garbled[n.start : n.end] == n.text for n in target.numbers)
 
@@ -250,7 +250,7 @@ def test_targets_beyond_what_was_measured_or_out_of_reach_are_named_and_left(
     assert not side["corrected"].any()
     said = capfd.readouterr().err
     assert "line 1, [6.0, 6.0, 6.0, 6.0, 6.0, 6.0]: is beyond what was measured" in said
-    assert f"line 3, p[9.0, 0.0, 0.0, 0.0, 0.0, 0.0]: {NOWHERE}" in said
+    assert f"line 3, p[9.0, 0.0, 0.0, 0.0, 0.0, 0.0]: {NOT_NOMINAL}" in said
 
 
 @pytest.mark.parametrize(
@@ -311,7 +311,7 @@ def test_a_gantry_comes_to_its_places_where_all_words_stand_and_as_near_as_those
     saved = gantry()
     text = "G21 G90\nG1 X100 Y200.0 Z-50\nG1 X900 Y-300 Z120\nX150.5\nG1 Y40 Z10\n"
     cell = Cell(saved.final.model.robot, KnownFrames(bases={"g54": np.eye(4)}))
-    reading = gcode.ROW.read(Project((Source(Path("p.nc"), text),)), cell)
+    reading = gcode.ROW.read(Project((SourceFile(Path("p.nc"), text),)), cell)
     found = correct(saved, reading.targets, {})
     assert [len(c.texts) for c in found] == [3, 3, 1, 2]
     told = np.array([[100, 200, -50], [900, -300, 120], [150.5, -300, 120], [150.5, 40, 10]]) / 1e3

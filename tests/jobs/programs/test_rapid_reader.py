@@ -13,9 +13,9 @@ from program_attacks import Attack
 from program_attacks.rapid import ATTACKS, DATA, JOINTS, OTHER, POSE, ZERO
 
 from aridcal.engine.robot.chain import Robot, parse_robot
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
-from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.project import Project, SourceFile
 from aridcal.jobs.apply.programs.rapid import ROW, context
 from aridcal.jobs.apply.programs.rapid.grammar import fold
 from aridcal.jobs.apply.programs.targets import Target, Words
@@ -38,9 +38,9 @@ def spans(text: str, begin: str, end: str) -> list[tuple[int, int]]:
     return places
 
 
-def read(files: Mapping[str, str], frames: KnownFrames | None = None, start: bool = True) -> Reading:
+def read(files: Mapping[str, str], frames: KnownFrames | None = None, start: bool = True) -> ProgramReading:
     """The targets of a project without marks."""
-    sources = tuple(Source(Path(name), MARK.sub("", text)) for name, text in files.items())
+    sources = tuple(SourceFile(Path(name), MARK.sub("", text)) for name, text in files.items())
     return ROW.read(Project(sources), Cell(ARM, frames or KnownFrames(), start=start))
 
 
@@ -261,24 +261,24 @@ def test_the_context_of_a_program_is_the_other_modules_of_its_task(tmp_path: Pat
 
 
 def test_a_module_that_cannot_be_in_the_same_task_is_no_context() -> None:
-    own = Source(Path("a.mod"), f"MODULE a\nPROC main()\nMoveL {POSE},v,z,tB;\nENDPROC\nENDMODULE\n")
+    own = SourceFile(Path("a.mod"), f"MODULE a\nPROC main()\nMoveL {POSE},v,z,tB;\nENDPROC\nENDMODULE\n")
     tool = "PERS tooldata tB:=[TRUE,[[0,0,9],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n"
     for routine, corrected in (("PROC main()\nENDPROC\n", False), ("PROC other()\nENDPROC\n", True)):
-        beside = Source(Path("b.mod"), f"MODULE b\n{tool}{routine}ENDMODULE\n", ours=False)
+        beside = SourceFile(Path("b.mod"), f"MODULE b\n{tool}{routine}ENDMODULE\n", ours=False)
         reading = ROW.read(Project((own, beside)), Cell(ARM))
         assert [target.why == "" for target in reading.targets] == [corrected] and bool(reading.notes) != corrected
 
 
 def test_a_file_beside_it_that_is_no_rapid_is_passed_over_and_one_that_is_broken_leaves_all() -> None:
-    own = Source(Path("a.mod"), main(f"MoveL {POSE},v,z,tool0;")["a.mod"])
+    own = SourceFile(Path("a.mod"), main(f"MoveL {POSE},v,z,tool0;")["a.mod"])
     for text, corrected in (("real :: x = 1", True), ("MODULE b\nPROC x()\nMoveL", False)):
-        reading = ROW.read(Project((own, Source(Path("b.mod"), text, ours=False))), Cell(ARM))
+        reading = ROW.read(Project((own, SourceFile(Path("b.mod"), text, ours=False))), Cell(ARM))
         assert [target.why == "" for target in reading.targets] == [corrected] and bool(reading.notes) == corrected
 
 
 def test_a_point_of_a_file_that_is_not_corrected_is_named_and_left() -> None:
-    own = Source(Path("a.mod"), "MODULE a\nPROC main()\nMoveL pB,v,z,tool0;\nENDPROC\nENDMODULE\n")
-    beside = Source(
+    own = SourceFile(Path("a.mod"), "MODULE a\nPROC main()\nMoveL pB,v,z,tool0;\nENDPROC\nENDMODULE\n")
+    beside = SourceFile(
         Path("b.mod"), f"MODULE b\nCONST robtarget pB:={POSE};\nCONST robtarget pC:={POSE};\nENDMODULE\n", ours=False
     )
     (target,) = ROW.read(Project((own, beside)), Cell(ARM)).targets
@@ -298,11 +298,11 @@ def test_external_axes_of_a_pose_are_held() -> None:
     cell = Cell(on_a_rail(), start=True)
     assert cell.axes.external
     text = main("MoveL [[500,10,300],[0,0,1,0],[0,0,0,0],[1500,9E9,9E9,9E9,9E9,9E9]],v100,fine,tool0;")["a.mod"]
-    (target,) = ROW.read(Project((Source(Path("a.mod"), text),)), cell).targets
+    (target,) = ROW.read(Project((SourceFile(Path("a.mod"), text),)), cell).targets
     assert target.branch.held is not None
     assert np.nansum(target.branch.held) == pytest.approx(1.5)
     off = text.replace("PROC main()\n", "PROC main()\nDeactUnit TRACK;\n")
-    (target,) = ROW.read(Project((Source(Path("a.mod"), off),)), cell).targets
+    (target,) = ROW.read(Project((SourceFile(Path("a.mod"), off),)), cell).targets
     assert "external axes" in target.why
 
 

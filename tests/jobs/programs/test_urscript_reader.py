@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.jobs.apply.programs import urscript
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
 from aridcal.jobs.apply.programs.moves import Moves, Stop
-from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.project import Project, SourceFile
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.urscript.table import RULES, Rule
 from aridcal.system.errors import AridcalError
@@ -26,9 +26,12 @@ from aridcal.system.errors import AridcalError
 OWN_BASE = KnownFrames(bases={"default": np.eye(4)})
 
 
-def read(text: str, frames: KnownFrames = OWN_BASE, *, start: bool = False, **others: str) -> Reading:
+def read(text: str, frames: KnownFrames = OWN_BASE, *, start: bool = False, **others: str) -> ProgramReading:
     """Targets of a program, and of files that are given beside it and not corrected."""
-    sources = [Source(Path("a.script"), text), *(Source(Path(name), t, ours=False) for name, t in others.items())]
+    sources = [
+        SourceFile(Path("a.script"), text),
+        *(SourceFile(Path(name), t, ours=False) for name, t in others.items()),
+    ]
     return urscript.ROW.read(Project(tuple(sources)), Cell(ur10(), frames, start=start))
 
 
@@ -63,7 +66,7 @@ def marked(text: str) -> tuple[str, list[tuple[int, int]], list[tuple[int, int]]
     return plain, left, corrected
 
 
-def judged(attack: Attack, folder: Path) -> tuple[Reading, list[bool], list[bool]]:
+def judged(attack: Attack, folder: Path) -> tuple[ProgramReading, list[bool], list[bool]]:
     """What is read, and for each marked span whether all its numbers are corrected: those to be left, those to be corrected."""
     text, left, corrected = marked(attack.files["a.script"])
     (folder / "frames.yaml").write_text(attack.frames)
@@ -201,7 +204,7 @@ def test_poses_are_in_the_link_base_and_that_is_said_else_the_base_must_be_state
     text = HEAD + f"movel({P})\n"
     robot = ur10()
     turned = parse_robot(robot.urdf.replace(b"</robot>", WITH_BASE.encode() + b"</robot>"), robot.tip, robot.base)
-    reading = urscript.ROW.read(Project((Source(Path("a.script"), text),)), Cell(turned))
+    reading = urscript.ROW.read(Project((SourceFile(Path("a.script"), text),)), Cell(turned))
     place = reading.targets[-1].place
     assert place is not None
     np.testing.assert_allclose(place.base, np.diag([-1, -1, 1, 1]), atol=1e-9)

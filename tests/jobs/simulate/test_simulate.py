@@ -17,7 +17,7 @@ from repository import ROOT
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.engine.robot.chain import load_robot
 from aridcal.files.campaign import load_campaign
 from aridcal.files.yaml_file import load_settings
@@ -243,7 +243,7 @@ def test_payload_pulls_the_elbow_by_its_weight_times_its_lever(tmp_path):
     assert set(table.payload) == {0.0, 1.0, 2.5, 5.0}
 
 
-@pytest.mark.parametrize("kind", sorted(kind for kind in KINDS if KINDS[kind].doc != "of-instruments"))
+@pytest.mark.parametrize("kind", sorted(kind for kind in EFFECT_KINDS if EFFECT_KINDS[kind].doc != "of-instruments"))
 def test_every_kind_can_be_simulated_and_its_truth_is_told(tmp_path, kind):
     more = {
         "joint_coupling": {"with": "joint_2"},

@@ -14,7 +14,7 @@ from simulated_instruments import EYE, TRUTH, UR10, scenario
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.instruments.camera import INTRINSICS
-from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS, labelled
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.rows.dataset import Dataset
@@ -86,7 +86,7 @@ def misfits(rows: Dataset, truth: dict, on_tip: bool = True) -> dict[str, np.nda
     for number, block in enumerate(rows.blocks):
         own = rows.select(rows.labels.block == number)
         label = own.labels.target if own.labels.target is not None else np.full(len(own), next(iter(frames)))
-        kind = KINDS[block.kind]
+        kind = MEASUREMENT_KINDS[block.kind]
         R, p = np.empty((len(own), 3, 3)), np.empty((len(own), 3))
         for name in np.unique(label):
             here = label == name

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.engine.instruments.camera import project
 from aridcal.engine.robot.chain import parse_robot
-from aridcal.engine.robot.splice import splice_origins, written_origins
+from aridcal.engine.robot.splice import origin_texts, splice_origins
 from aridcal.simulate import main
 
 N = 30
@@ -90,7 +90,7 @@ def true_urdf(parameters: dict[str, float]) -> bytes:
         for joint in nominal
         if joint.name in off
     }
-    return splice_origins(two_arms.urdf(), written_origins(two_arms.urdf(), origins))
+    return splice_origins(two_arms.urdf(), origin_texts(two_arms.urdf(), origins))
 
 
 def readings(robot: two_arms.Machine, table: pd.DataFrame) -> np.ndarray:

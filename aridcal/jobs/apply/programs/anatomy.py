@@ -27,7 +27,7 @@ STRAIGHT = 1e-3
 MEETING = 1e-3
 """[m] within which three axes of a wrist meet: nominal ones do exactly."""
 
-LEAST = 0.05
+LEAST_WRIST_OFFSET = 0.05
 """[m] by which the wrist is in front of axis 1 at zero, so that front is known."""
 
 
@@ -99,9 +99,9 @@ def anatomy_of(robot: Robot, axes: Axes) -> Anatomy | None:
     lead, upper, fore = seen(o[1] - o[0]).real, seen(o[2] - o[1]), seen(centre - o[2])
     out = a[3] * (np.sign((centre - o[2]) @ a[3]) or 1.0)
     if (
-        (centre - o[0]) @ front < LEAST
-        or lead < -LEAST
-        or min(abs(upper), abs(fore)) < LEAST
+        (centre - o[0]) @ front < LEAST_WRIST_OFFSET
+        or lead < -LEAST_WRIST_OFFSET
+        or min(abs(upper), abs(fore)) < LEAST_WRIST_OFFSET
         or abs(out @ side) > STRAIGHT
     ):
         return None

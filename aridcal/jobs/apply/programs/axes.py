@@ -12,7 +12,7 @@ import numpy as np
 from aridcal.jobs.apply.programs.text import Number
 from aridcal.system.errors import AridcalError
 
-MOST = 6
+MOST_AXES = 6
 """Axes of an arm in all these languages; what is more is an external axis."""
 
 DEGREE = math.pi / 180.0
@@ -71,12 +71,12 @@ def axes_of(kinds: Sequence[str], zeros: Sequence[float] = ()) -> Axes:
         AridcalError: the robot has more axes than a program can name.
     """
     every = tuple(range(len(kinds)))
-    if len(kinds) <= MOST:
+    if len(kinds) <= MOST_AXES:
         return Axes(tuple(kinds), every, (), tuple(zeros))
     rails = tuple(k for k in every if kinds[k] == "prismatic")
     arm = tuple(k for k in every if k not in rails)
-    if len(arm) > MOST:
+    if len(arm) > MOST_AXES:
         raise AridcalError(
-            f"the robot has {len(arm)} turning joints: programs have {MOST}; give a table of poses to `aridcal compensate`"
+            f"the robot has {len(arm)} turning joints: programs have {MOST_AXES}; give a table of poses to `aridcal compensate`"
         )
     return Axes(tuple(kinds), arm, rails, tuple(zeros))

@@ -40,7 +40,7 @@ SENSES = {
 }
 """Which way the maker's axes turn, as :attr:`Anatomy.senses` has them."""
 
-WITNESSES = 3
+LEAST_WITNESSES = 3
 """Poses whose words speak against the zeros, at least: one or two are a slip of a pen. Of joint targets one beyond the limits is
 enough, for none of them could ever have been driven."""
 
@@ -51,10 +51,10 @@ poses agree by chance, and twice as many would not be spread evenly; quarters of
 COPIED = 0.1
 """The share of poses whose words may not agree with the right zeros: linear moves do not ask for them, and nobody mends them."""
 
-ENOUGH = 100
+MOST_WITNESS_POSES = 100
 """Poses that are looked at: more say the same."""
 
-LOOSE = 1.0
+LIMIT_TOLERANCE = 1.0
 """Degrees or millimetres beyond a limit that a description's rounding explains."""
 
 
@@ -105,14 +105,14 @@ def _stated(saved: SavedModel, reading: int) -> float:
 
 
 def _numbers(given: str, count: int) -> tuple[float, ...]:
-    wanted = f"--zeros {given}: should be {count} numbers with commas between them, one for each axis of the arm"
+    expected = f"--zeros {given}: should be {count} numbers with commas between them, one for each axis of the arm"
     try:
         numbers = tuple(float(part) for part in given.split(","))
     except ValueError:
-        raise CampaignError(f"{wanted}, as in --zeros {','.join(['0'] * count)}") from None
+        raise CampaignError(f"{expected}, as in --zeros {','.join(['0'] * count)}") from None
     if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
         raise CampaignError(
-            f"{wanted}, in the program's units: what the controller shows where the URDF's joint is at 0"
+            f"{expected}, in the program's units: what the controller shows where the URDF's joint is at 0"
         )
     return numbers
 
@@ -145,7 +145,10 @@ class _Witnesses:
         axes = self.cell.axes
         units = np.array([axes.unit(k, DEGREE, MILLIMETRE) for k in axes.arm])
         low, high = (self.cell.robot.limits[list(axes.arm)] / units[:, None] + np.array(zeros)[:, None]).T
-        return [bool(np.all(np.isnan(q) | ((q >= low - LOOSE) & (q <= high + LOOSE)))) for q in self.joints]
+        return [
+            bool(np.all(np.isnan(q) | ((q >= low - LIMIT_TOLERANCE) & (q <= high + LIMIT_TOLERANCE))))
+            for q in self.joints
+        ]
 
 
 def _fits(words: Posture, q: np.ndarray, cell: Cell) -> bool:
@@ -161,7 +164,9 @@ def _turned(q: np.ndarray, cell: Cell) -> Iterator[np.ndarray]:
     for turns in itertools.product((0.0, math.tau, -math.tau), repeat=len(turning)):
         other = q.copy()
         other[turning] += turns
-        if (other >= limits[:, 0] - LOOSE * DEGREE).all() and (other <= limits[:, 1] + LOOSE * DEGREE).all():
+        if (other >= limits[:, 0] - LIMIT_TOLERANCE * DEGREE).all() and (
+            other <= limits[:, 1] + LIMIT_TOLERANCE * DEGREE
+        ).all():
             yield other
 
 
@@ -186,18 +191,18 @@ def zeros_hint(targets: Sequence[Target], positions: Sequence[Sequence[np.ndarra
         (target.branch.words.texts, stands)
         for target, stands in zip(targets, positions, strict=True)
         if target.branch.words is not None and isinstance(target.branch.words.texts, Posture) and len(stands)
-    ][:ENOUGH]
+    ][:MOST_WITNESS_POSES]
     joints = [_shown(target, cell) for target in targets if target.form == "joints" and target.readings is not None]
     witnesses = _Witnesses(cell, poses, joints)
     as_is = cell.axes.zeros or (0.0,) * len(off)
-    meant = tuple(float(zero) for zero in np.array(as_is) + off)
+    zeros = tuple(float(zero) for zero in np.array(as_is) + off)
     agreeing, within = witnesses.agree(as_is), witnesses.within(as_is)
-    spoken = len(poses) - sum(agreeing) >= WITNESSES and sum(agreeing) <= BY_CHANCE * len(poses)
+    spoken = len(poses) - sum(agreeing) >= LEAST_WITNESSES and sum(agreeing) <= BY_CHANCE * len(poses)
     if not spoken and all(within):
         return ""
-    if sum(witnesses.agree(meant)) < (1.0 - COPIED) * len(poses) or not all(witnesses.within(meant)):
+    if sum(witnesses.agree(zeros)) < (1.0 - COPIED) * len(poses) or not all(witnesses.within(zeros)):
         return ""
-    return _sentence(language, off, meant, (agreeing, within))
+    return _sentence(language, off, zeros, (agreeing, within))
 
 
 def senses_hint(cell: Cell, language: str) -> str:
@@ -253,10 +258,10 @@ def witnesses(targets: Sequence[Target], contradicted: int, cell: Cell) -> tuple
     ]
     low, high = cell.robot.limits.T
     readings = np.array([target.readings for target in joints]).reshape(-1, len(low))
-    if contradicted < WITNESSES and not ((readings < low) | (readings > high)).any():
+    if contradicted < LEAST_WITNESSES and not ((readings < low) | (readings > high)).any():
         return [], []
     poses = [target for target in targets if target.branch.words is not None and not target.why]
-    chosen = np.unique(np.linspace(0, len(poses) - 1, ENOUGH).astype(int)).tolist() if poses else []
+    chosen = np.unique(np.linspace(0, len(poses) - 1, MOST_WITNESS_POSES).astype(int)).tolist() if poses else []
     return [poses[k] for k in chosen], joints
 
 
@@ -283,7 +288,7 @@ def _off(cell: Cell, language: str) -> np.ndarray | None:
 
 
 def _sentence(
-    language: str, off: np.ndarray, meant: Sequence[float], verdicts: tuple[Sequence[bool], Sequence[bool]]
+    language: str, off: np.ndarray, zeros: Sequence[float], verdicts: tuple[Sequence[bool], Sequence[bool]]
 ) -> str:
     maker, letter = MAKERS[language]
     axes = " and ".join(f"{letter}{k + 1} zero is {abs(off[k]):.0f}° off this URDF's" for k in np.flatnonzero(off))
@@ -294,5 +299,5 @@ def _sentence(
     ]
     return (
         f"{maker}'s {axes}: {' and '.join(against)} of the program say so. State --zeros "
-        f"{','.join(f'{zero:g}' for zero in meant)}, or robot.controller_zeros in the campaign"
+        f"{','.join(f'{zero:g}' for zero in zeros)}, or robot.controller_zeros in the campaign"
     )

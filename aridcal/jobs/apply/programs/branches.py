@@ -17,52 +17,52 @@ import numpy as np
 
 from aridcal.engine.inverse.many_poses import MOST_STEPS, ROWS_AT_ONCE, ArmRows, InverseRows, SearchEnd
 from aridcal.engine.inverse.one_pose import MOST_UNAVOIDABLE, InverseKinematics
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 
-EXACT = 1e-7
+REACHED_TOLERANCE = 1e-7
 """What counts as reached of the nominal arm, [m] and [rad]: far below what any arm repeats."""
 
 STARTS = 60
 """Drawn over the joints' ranges: four of five come to a pose, so that each of the eight positions of a six-axis arm is missed by
 all of them two times in a thousand."""
 
-FEW = 6
+FIRST_BRANCHES = 6
 """Of them, for a first look at what other positions there are: half of an arm's eight, as a rule."""
 
 AROUND, KICK = 6, 0.3
 """Starts close by, and how far they are, [rad] or [m]: with an elbow nearly straight a search may end on its other side, which is
 further away, and one from there on the nearer."""
 
-SAME = 1e-4
+SAME_POSITION = 1e-4
 """Readings that differ by less are the same position of the arm, [rad] or [m]."""
 
-SETTLED = 1e-6
+UNMOVED_READING = 1e-6
 """Readings that differ by less are those from before: far more than what a search rounds, [rad] or [m]."""
 
-CLOSE = 8.0
+SAME_BRANCH_FACTOR = 8.0
 """Times the way within which no other position can be: a search that starts where the arm comes from and ends so close by is
 trusted not to have passed one, which must be on its way then."""
 
-FAR = 2.0
+FAR_START = 2.0
 """[rad] or [m], all joints together: what comes from further away may come to any position, so that all are looked for."""
 
 SPREAD, FURTHEST, UPHILL = 500, 20, 40
 """Configurations from which the arm's reach is sought, how many of them go uphill, and in how many steps: twice as many of each
 change it by less than a thousandth."""
 
-BEYOND_REACH = 1.01
+REACH_FACTOR = 1.01
 """Times that reach beyond which nothing is looked for: what the search for it may lack, ten times over."""
 
-WIDE = np.pi
+UNLIMITED_START = np.pi
 """Joints without limits are started within half a turn, [rad] or [m]."""
 
 TURN = 2.0 * np.pi
 """Once round, [rad]."""
 
-TURNS = (-2, -1, 0, 1, 2)
+WHOLE_TURNS = (-2, -1, 0, 1, 2)
 """Whole turns by which joints are turned to agree with words: controllers count no more."""
 
 QUICK = 8
@@ -83,11 +83,11 @@ Fits = Callable[[np.ndarray], bool]
 
 def flanges(robot: Robot, readings: np.ndarray) -> np.ndarray:
     """T_base_tip of the nominal arm in many configurations, shape (n, 4, 4)."""
-    found = np.zeros((len(readings), 4, 4))
+    T_base_flange = np.zeros((len(readings), 4, 4))
     if len(readings):
-        found[:, :3, :3], found[:, :3, 3] = tip_frames(robot, readings)
-    found[:, 3, 3] = 1.0
-    return found
+        T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] = tip_frames(robot, readings)
+    T_base_flange[:, 3, 3] = 1.0
+    return T_base_flange
 
 
 def flange(robot: Robot, readings: np.ndarray) -> np.ndarray:
@@ -99,7 +99,9 @@ def controller(robot: Robot) -> InverseKinematics:
     """Inverse kinematics of the nominal arm for one pose, from base to tip."""
     low, high = robot.limits.T
     turning = np.array([kind != "prismatic" for kind in robot.kinds])
-    return InverseKinematics(OneRowModel(Model(robot, ()), np.zeros(0)), low, high, turning, True, (EXACT, EXACT))
+    return InverseKinematics(
+        OneRowModel(Model(robot, ()), np.zeros(0)), low, high, turning, True, (REACHED_TOLERANCE, REACHED_TOLERANCE)
+    )
 
 
 Memory = dict[bytes, np.ndarray]
@@ -184,15 +186,17 @@ class Controller:
             out = p - self.robot.onward[0].translation
             far = np.linalg.norm(out, axis=1)
             furthest = np.argsort(far)[-FURTHEST:]
-            way = np.einsum("nij,ni->nj", J[:, :3], out / np.maximum(far, EXACT)[:, None])[furthest]
-            q = np.clip(q[furthest] + way / max(float(far.max()), EXACT), self.inverse.low, self.inverse.high)
+            way = np.einsum("nij,ni->nj", J[:, :3], out / np.maximum(far, REACHED_TOLERANCE)[:, None])[furthest]
+            q = np.clip(
+                q[furthest] + way / max(float(far.max()), REACHED_TOLERANCE), self.inverse.low, self.inverse.high
+            )
         return float(far.max())
 
-    def too_far(self, wanted: np.ndarray) -> np.ndarray:
+    def too_far(self, poses: np.ndarray) -> np.ndarray:
         """Poses that are further away than the arm gets, whatever its joints do, shape (n,)."""
-        apart = np.linalg.norm(wanted[:, :3, 3] - self.robot.onward[0].translation, axis=1)
+        apart = np.linalg.norm(poses[:, :3, 3] - self.robot.onward[0].translation, axis=1)
         drawn_out = ~self.inverse.turning & ~np.isfinite(self.inverse.high - self.inverse.low)
-        return np.asarray((apart > BEYOND_REACH * self.reach) & (not drawn_out.any()))
+        return np.asarray((apart > REACH_FACTOR * self.reach) & (not drawn_out.any()))
 
     @cached_property
     def unlimited(self) -> InverseRows:
@@ -200,21 +204,21 @@ class Controller:
         none = np.full(len(self.inverse.low), np.inf)
         return replace(self.inverse, low=-none, high=none)
 
-    def redundant(self, held: np.ndarray) -> bool:
+    def redundant(self, fixed: np.ndarray) -> bool:
         """Whether the arm may reach a pose in ways without number, so that each depends on the one before by small amounts."""
-        free = np.isnan(held) & (self.inverse.low < self.inverse.high)
+        free = np.isnan(fixed) & (self.inverse.low < self.inverse.high)
         return bool((free.sum(axis=1) > 6).any())
 
     def settle(
-        self, wanted: np.ndarray, seeds: np.ndarray, held: np.ndarray, steps: int = MOST_STEPS
+        self, poses: np.ndarray, seeds: np.ndarray, fixed: np.ndarray, steps: int = MOST_STEPS
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where a search from each seed ends, shape (n, columns); whether the tip is there, (n,); and the Jacobian there."""
-        found = self.inverse.approach(wanted, seeds, held, {}, steps)
-        return found.readings, self._there(found), found.J
+        end = self.inverse.approach(poses, seeds, fixed, {}, steps)
+        return end.readings, self._there(end), end.J
 
-    def _there(self, found: SearchEnd) -> np.ndarray:
-        allowed = MOST_UNAVOIDABLE if found.readings.shape[1] < 6 else EXACT
-        off = np.maximum(np.linalg.norm(found.error[:, :3], axis=1), np.linalg.norm(found.error[:, 3:], axis=1))
+    def _there(self, end: SearchEnd) -> np.ndarray:
+        allowed = MOST_UNAVOIDABLE if end.readings.shape[1] < 6 else REACHED_TOLERANCE
+        off = np.maximum(np.linalg.norm(end.error[:, :3], axis=1), np.linalg.norm(end.error[:, 3:], axis=1))
         return np.asarray(off < allowed)
 
     # --- the nearest position -------------------------------------------------------------------------------------------
@@ -233,37 +237,37 @@ class Controller:
         Returns:
             Readings, shape (n, columns), those that it comes from where there is none; and whether there is one.
         """
-        found, there = near.copy(), np.zeros(len(poses), dtype=bool)
+        positions, there = near.copy(), np.zeros(len(poses), dtype=bool)
         every = np.arange(len(poses))
         searched = np.array([poses.key(k) in memory for k in every.tolist()], dtype=bool) if memory else every < 0
-        left, far = every[~searched], searched.copy()
-        for seeds, steps, close in ((guess, 0, 1.0), (near, MOST_STEPS, CLOSE)):
-            some, at = poses[left], near[left]
-            q, reached, J = self.settle(some.wanted, seeds[left], some.held, steps)
+        remaining, far = every[~searched], searched.copy()
+        for seeds, steps, close in ((guess, 0, 1.0), (near, MOST_STEPS, SAME_BRANCH_FACTOR)):
+            some, at = poses[remaining], near[remaining]
+            q, reached, J = self.settle(some.wanted, seeds[remaining], some.held, steps)
             q = self._turned_towards(q, at, some.held)
-            inside = ((q >= self.inverse.low - SAME) & (q <= self.inverse.high + SAME)).all(axis=1)
+            inside = ((q >= self.inverse.low - SAME_POSITION) & (q <= self.inverse.high + SAME_POSITION)).all(axis=1)
             ok = reached & inside & self._alone(q, at, J, some.held, close)
             for k in np.flatnonzero(ok).tolist():
                 fits = some.fits[k]
                 ok[k] = fits is None or fits(q[k])
-            found[left[ok]], there[left[ok]] = q[ok], True
-            far[left] = ~reached | (np.linalg.norm(q - at, axis=1) > FAR)
-            left = left[~ok]
-        self._around(poses, near, left[~far[left]], found, there)
-        self._everywhere(poses, near, every[~there], found, there, memory)
-        return found, there
+            positions[remaining[ok]], there[remaining[ok]] = q[ok], True
+            far[remaining] = ~reached | (np.linalg.norm(q - at, axis=1) > FAR_START)
+            remaining = remaining[~ok]
+        self._around(poses, near, remaining[~far[remaining]], positions, there)
+        self._everywhere(poses, near, every[~there], positions, there, memory)
+        return positions, there
 
-    def _turned_towards(self, q: np.ndarray, near: np.ndarray, held: np.ndarray) -> np.ndarray:
+    def _turned_towards(self, q: np.ndarray, near: np.ndarray, fixed: np.ndarray) -> np.ndarray:
         """Readings (n, columns) turned by whole turns to be as near to others as may be."""
-        return q + TURN * np.where(self.inverse.turning & np.isnan(held), np.round((near - q) / TURN), 0.0)
+        return q + TURN * np.where(self.inverse.turning & np.isnan(fixed), np.round((near - q) / TURN), 0.0)
 
-    def _alone(self, q: np.ndarray, near: np.ndarray, J: np.ndarray, held: np.ndarray, close: float) -> np.ndarray:
+    def _alone(self, q: np.ndarray, near: np.ndarray, J: np.ndarray, fixed: np.ndarray, close: float) -> np.ndarray:
         r"""Whether no other position is likely to be as near to where the arm comes from, shape (n,).
 
         Along a straight line d in the readings the tip's way is :math:`J d + \frac{1}{2} H d^2`; it is back at its place for
         :math:`|d| \ge 2 \sigma_{min}(J) / |H|` at the earliest, and the curvature H is the arm's length at most, or thereabouts.
         """
-        free = np.isnan(held) & (self.inverse.low < self.inverse.high)
+        free = np.isnan(fixed) & (self.inverse.low < self.inverse.high)
         A = J * free[:, None]
         back = A.transpose(0, 2, 1)
         H = A @ back if A.shape[2] >= 6 else back @ A
@@ -272,17 +276,19 @@ class Controller:
         smallest = np.sqrt(np.maximum(np.linalg.eigvalsh(H)[:, 0], 0.0))
         return np.asarray(np.linalg.norm(q - near, axis=1) * max(self.reach, 1.0) < close * smallest)
 
-    def _around(self, poses: Poses, near: np.ndarray, rows: np.ndarray, found: np.ndarray, there: np.ndarray) -> None:
+    def _around(
+        self, poses: Poses, near: np.ndarray, rows: np.ndarray, positions: np.ndarray, there: np.ndarray
+    ) -> None:
         """Look around where some rows come from; fills in what is found."""
         draws = np.random.default_rng(0).standard_normal((AROUND, near.shape[1]))
         kicks = np.vstack([np.zeros(near.shape[1]), KICK * draws])
         for some in _parts(rows, len(kicks)):
             self._choose(
-                poses, near, some, *self._from(poses[some], near[some][:, None] + kicks, self.inverse), found, there
+                poses, near, some, *self._from(poses[some], near[some][:, None] + kicks, self.inverse), positions, there
             )
 
     def _everywhere(
-        self, poses: Poses, near: np.ndarray, rows: np.ndarray, found: np.ndarray, there: np.ndarray, memory: Memory
+        self, poses: Poses, near: np.ndarray, rows: np.ndarray, positions: np.ndarray, there: np.ndarray, memory: Memory
     ) -> None:
         """Look over all readings for some rows, once for each pose; fills in what is found."""
         rows = rows[~self.too_far(poses.wanted[rows])]
@@ -291,7 +297,7 @@ class Controller:
             memory[poses.key(k)] = ends
         for k in rows.tolist():
             ends = memory[poses.key(k)]
-            self._choose(poses, near, np.array([k]), ends[None], np.ones((1, len(ends)), dtype=bool), found, there)
+            self._choose(poses, near, np.array([k]), ends[None], np.ones((1, len(ends)), dtype=bool), positions, there)
 
     def within_limits(self, pose: Poses, ends: np.ndarray) -> bool:
         """Whether any of the positions (positions, columns) of one pose, whatever its posture, is within the limits."""
@@ -299,13 +305,13 @@ class Controller:
 
     def _different(self, ends: np.ndarray) -> np.ndarray:
         """The different positions among ends of searches, shape (tries, columns), whole turns apart counted as one."""
-        kept: list[np.ndarray] = []
+        different: list[np.ndarray] = []
         for end in ends:
-            off = np.array(kept).reshape(-1, len(end)) - end
+            off = np.array(different).reshape(-1, len(end)) - end
             off -= TURN * np.where(self.inverse.turning, np.round(off / TURN), 0.0)
-            if not (np.abs(off).max(axis=1) < SAME).any():
-                kept.append(end)
-        return np.array(kept).reshape(-1, ends.shape[1])
+            if not (np.abs(off).max(axis=1) < SAME_POSITION).any():
+                different.append(end)
+        return np.array(different).reshape(-1, ends.shape[1])
 
     def _choose(
         self,
@@ -314,34 +320,36 @@ class Controller:
         rows: np.ndarray,
         ends: np.ndarray,
         reached: np.ndarray,
-        found: np.ndarray,
+        positions: np.ndarray,
         there: np.ndarray,
     ) -> None:
         """Take the nearest position of each row that some searches (rows, tries, columns) ended at."""
         nearest = self._turned_towards(ends, near[rows][:, None], poses.held[rows][:, None])
-        inside = np.all((nearest >= self.inverse.low - SAME) & (nearest <= self.inverse.high + SAME), axis=2)
+        inside = np.all(
+            (nearest >= self.inverse.low - SAME_POSITION) & (nearest <= self.inverse.high + SAME_POSITION), axis=2
+        )
         away = np.where(reached, np.sum((nearest - near[rows][:, None]) ** 2, axis=2), np.inf)
         for k, own, ok, sure, way, turned in zip(rows.tolist(), ends, reached, inside, away, nearest, strict=True):
             best = int(way.argmin()) if len(way) else 0
             if ok.any() and sure[best]:  # whatever is turned otherwise is further away
                 fits = poses.fits[k]
                 if fits is None or fits(turned[best]):
-                    found[k], there[k] = turned[best], True
+                    positions[k], there[k] = turned[best], True
                     continue
             first = next(iter(self._distinct(own[ok], poses.held[k], near[k], poses.fits[k])), None)
             if first is not None:
-                found[k], there[k] = first, True
+                positions[k], there[k] = first, True
 
     def _from(self, poses: Poses, seeds: np.ndarray, inverse: InverseRows) -> tuple[np.ndarray, np.ndarray]:
         """Ends of searches from several seeds each, (n, tries, columns), and which are there, (n, tries)."""
         n, tries, columns = seeds.shape
-        wanted, held = np.repeat(poses.wanted, tries, axis=0), np.repeat(poses.held, tries, axis=0)
-        found = inverse.approach(wanted, seeds.reshape(-1, columns), held, {})
-        return found.readings.reshape(n, tries, columns), self._there(found).reshape(n, tries)
+        wanted, fixed = np.repeat(poses.wanted, tries, axis=0), np.repeat(poses.held, tries, axis=0)
+        ends = inverse.approach(wanted, seeds.reshape(-1, columns), fixed, {})
+        return ends.readings.reshape(n, tries, columns), self._there(ends).reshape(n, tries)
 
     def _drawn(self, n: int, count: int) -> np.ndarray:
         """Starts over the joints' ranges, the same for each of n rows, shape (n, count, columns); once round is enough."""
-        low, high = np.maximum(self.inverse.low, -WIDE), np.minimum(self.inverse.high, WIDE)
+        low, high = np.maximum(self.inverse.low, -UNLIMITED_START), np.minimum(self.inverse.high, UNLIMITED_START)
         low, high = np.where(low < high, low, self.inverse.low), np.where(low < high, high, self.inverse.high)
         drawn = low + (high - low) * np.random.default_rng(1).random((count, len(low)))
         return np.broadcast_to(drawn, (n, *drawn.shape))
@@ -378,22 +386,22 @@ class Controller:
             if chain.joints[k]:
                 here = np.where(np.isnan(chain.given[k]), here, chain.given[k])
             elif (k - start) % ANCHORS == 0 or k == end - 1:
-                wanted, held = chain.poses.wanted[k], chain.poses.held[k]
-                stays = np.isfinite(held)
-                low, high = (np.where(stays, held, limit) for limit in (self.one.low, self.one.high))
+                wanted, fixed = chain.poses.wanted[k], chain.poses.held[k]
+                stays = np.isfinite(fixed)
+                low, high = (np.where(stays, fixed, limit) for limit in (self.one.low, self.one.high))
                 command = replace(self.one, low=low, high=high).command(wanted[:3, :3], wanted[:3, 3], here, {})
                 here = command.readings if command.reached else here
             else:
                 continue
             anchors.append(k)
             seeds.append(here)
-        rows, known = np.arange(start, end), np.array(seeds)
-        found = np.column_stack([np.interp(rows, anchors, column) for column in known.T])
+        rows, anchor_positions = np.arange(start, end), np.array(seeds)
+        guesses = np.column_stack([np.interp(rows, anchors, column) for column in anchor_positions.T])
         own = np.flatnonzero(~chain.joints[start:end])
-        held = chain.poses.held[start + own]
-        q, reached, _ = self.settle(chain.poses.wanted[start + own], found[own], held, QUICK)
-        found[own[reached]] = self._turned_towards(q, found[own], held)[reached]
-        return found
+        fixed = chain.poses.held[start + own]
+        q, reached, _ = self.settle(chain.poses.wanted[start + own], guesses[own], fixed, QUICK)
+        guesses[own[reached]] = self._turned_towards(q, guesses[own], fixed)[reached]
+        return guesses
 
     def _swept(
         self,
@@ -409,7 +417,7 @@ class Controller:
         rows = np.arange(start, end)
         for _ in range(SWEEPS):
             new = self._anew(chain, before, rows, q, there, memory)
-            other = self._apart(new, q[rows], chain.poses.held[rows]) > SETTLED
+            other = self._apart(new, q[rows], chain.poses.held[rows]) > UNMOVED_READING
             q[rows] = new
             follow = rows[other] + 1
             rows = follow[(follow < end) & chain.depends[np.minimum(follow, len(q) - 1)]]
@@ -425,13 +433,13 @@ class Controller:
         new = np.where(np.isnan(chain.given[rows]), come, chain.given[rows])
         own = np.flatnonzero(~chain.joints[rows])
         near = np.where(np.isnan(chain.near[rows[own]]), come[own], chain.near[rows[own]])
-        found, there[rows[own]] = self.nearest(chain.poses[rows[own]], near, q[rows[own]], memory)
-        new[own] = np.where(there[rows[own]][:, None], found, come[own])
+        positions, there[rows[own]] = self.nearest(chain.poses[rows[own]], near, q[rows[own]], memory)
+        new[own] = np.where(there[rows[own]][:, None], positions, come[own])
         return new
 
-    def _apart(self, one: np.ndarray, other: np.ndarray, held: np.ndarray) -> np.ndarray:
+    def _apart(self, one: np.ndarray, other: np.ndarray, fixed: np.ndarray) -> np.ndarray:
         """How far readings (n, columns) are from others but for whole turns, shape (n,)."""
-        return np.asarray(np.abs(self._turned_towards(one, other, held) - other).max(axis=1, initial=0.0))
+        return np.asarray(np.abs(self._turned_towards(one, other, fixed) - other).max(axis=1, initial=0.0))
 
     def _wound(
         self,
@@ -448,7 +456,7 @@ class Controller:
         A search that starts a whole turn further ends a whole turn further, so that no target is worked out anew for turns, but
         where a limit is in the way or words count turns.
         """
-        low, high = self.inverse.low - SAME, self.inverse.high + SAME
+        low, high = self.inverse.low - SAME_POSITION, self.inverse.high + SAME_POSITION
         for k in range(self._first_unwound(chain, before, start, end, q, there), end):
             come = q[k - 1] if k else before
             if chain.joints[k] or not there[k]:
@@ -457,7 +465,7 @@ class Controller:
                 continue
             near = np.where(np.isnan(chain.near[k]), come, chain.near[k])
             turned = self._turned_towards(q[k], near, chain.poses.held[k])
-            if np.abs(turned - q[k]).max() < SETTLED:
+            if np.abs(turned - q[k]).max() < UNMOVED_READING:
                 continue
             fits = chain.poses.fits[k]
             if ((turned >= low) & (turned <= high)).all() and fits is None:
@@ -465,7 +473,7 @@ class Controller:
                 continue
             row = np.array([k])
             new = self._anew(chain, before, row, q, there, memory)
-            other = self._apart(new, q[row], chain.poses.held[row])[0] > SETTLED
+            other = self._apart(new, q[row], chain.poses.held[row])[0] > UNMOVED_READING
             q[k] = new[0]
             if other:
                 return k + 1
@@ -481,7 +489,7 @@ class Controller:
         posed = np.where(there[rows][:, None], self._turned_towards(q[rows], near, chain.poses.held[rows]), come)
         given = np.where(np.isnan(chain.given[rows]), come, chain.given[rows])
         follows = np.where(chain.joints[rows][:, None], given, posed)
-        other = np.abs(follows - q[rows]).max(axis=1, initial=0.0) > SETTLED
+        other = np.abs(follows - q[rows]).max(axis=1, initial=0.0) > UNMOVED_READING
         return int(rows[other.argmax()]) if other.any() else end
 
     # --- all positions --------------------------------------------------------------------------------------------------
@@ -494,29 +502,29 @@ class Controller:
 
     def searched(self, poses: Poses, count: int = STARTS) -> list[np.ndarray]:
         """Ends of searches over all readings that get to each pose, (positions, columns), beyond limits and of any posture."""
-        found = []
+        positions = []
         for some in _parts(np.arange(len(poses)), count):
             part, seeds = poses[some], self._drawn(len(some), count)
             ends, ok = self._from(part, seeds, self.inverse if self.redundant(part.held) else self.unlimited)
-            found += [self._different(own[reached]) for own, reached in zip(ends, ok, strict=True)]
-        return found
+            positions += [self._different(own[reached]) for own, reached in zip(ends, ok, strict=True)]
+        return positions
 
-    def _distinct(self, ends: np.ndarray, held: np.ndarray, near: np.ndarray, fits: Fits | None) -> list[np.ndarray]:
+    def _distinct(self, ends: np.ndarray, fixed: np.ndarray, near: np.ndarray, fits: Fits | None) -> list[np.ndarray]:
         """The different positions among ends of searches (tries, columns) that fit, the nearest first."""
-        found: list[np.ndarray] = []
+        positions: list[np.ndarray] = []
         for end in self._different(ends):
-            q = self._turned(end, held, near, fits)
+            q = self._turned(end, fixed, near, fits)
             if q is not None:
-                found.append(q)
-        return sorted(found, key=lambda q: float(np.sum((q - near) ** 2)))
+                positions.append(q)
+        return sorted(positions, key=lambda q: float(np.sum((q - near) ** 2)))
 
-    def _turned(self, q: np.ndarray, held: np.ndarray, near: np.ndarray, fits: Fits | None) -> np.ndarray | None:
+    def _turned(self, q: np.ndarray, fixed: np.ndarray, near: np.ndarray, fits: Fits | None) -> np.ndarray | None:
         """The same position with joints turned by whole turns: as near as may be, or the nearest way in which it fits."""
-        nearest = self._turned_towards(q, near, held)
-        inside = (nearest >= self.inverse.low - SAME) & (nearest <= self.inverse.high + SAME)
+        nearest = self._turned_towards(q, near, fixed)
+        inside = (nearest >= self.inverse.low - SAME_POSITION) & (nearest <= self.inverse.high + SAME_POSITION)
         if inside.all() and (fits is None or fits(nearest)):
             return nearest
-        ways = self._ways(nearest, np.isnan(held) & self.inverse.turning, near)
+        ways = self._ways(nearest, np.isnan(fixed) & self.inverse.turning, near)
         return next((way for way in ways if fits is None or fits(way)), None)
 
     def _ways(self, q: np.ndarray, turning: np.ndarray, near: np.ndarray) -> list[np.ndarray]:
@@ -525,9 +533,9 @@ class Controller:
         All joints as near as may be, or between minus and plus half a turn, and one or two of them otherwise.
         """
         choices = []
-        limits = zip(self.inverse.low - SAME, self.inverse.high + SAME, strict=True)
+        limits = zip(self.inverse.low - SAME_POSITION, self.inverse.high + SAME_POSITION, strict=True)
         for value, turns, (low, high) in zip(q.tolist(), turning.tolist(), limits, strict=True):
-            every = [value + TURN * k for k in TURNS] if turns else [value]
+            every = [value + TURN * k for k in WHOLE_TURNS] if turns else [value]
             choices.append([v for v in every if low <= v <= high])
         if not all(choices):
             return []

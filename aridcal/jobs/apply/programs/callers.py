@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 
-def named(own_names: Sequence[str], ours: Mapping[int, bool]) -> dict[str, int]:
+def called_program(own_names: Sequence[str], ours: Mapping[int, bool]) -> dict[str, int]:
     """Which program a name means: of several, the only one that is to be corrected, or none.
 
     Args:
@@ -26,7 +26,9 @@ def routine_of(names: Mapping[str, int], program: int) -> str:
     return next((name for name, k in names.items() if k == program), f"/{program}")
 
 
-def reached(start: Sequence[int], calls: Sequence[Sequence[str]], names: Mapping[str, int]) -> frozenset[int]:
+def reachable_programs(
+    start: Sequence[int], calls: Sequence[Sequence[str]], names: Mapping[str, int]
+) -> frozenset[int]:
     """Programs that some call or start, those themselves included.
 
     Args:
@@ -34,17 +36,17 @@ def reached(start: Sequence[int], calls: Sequence[Sequence[str]], names: Mapping
         calls: Names that each calls.
         names: Which a name means.
     """
-    found: dict[int, None] = {}
+    reachable: dict[int, None] = {}
     waiting = list(start)
     while waiting:
         k = waiting.pop()
-        if k not in found:
-            found[k] = None
+        if k not in reachable:
+            reachable[k] = None
             waiting += [names[name] for name in calls[k] if name in names]
-    return frozenset(found)
+    return frozenset(reachable)
 
 
-def uncalled(walked: Sequence[int], calls: Sequence[Sequence[str]], names: Mapping[str, int]) -> Iterator[int]:
+def uncalled_programs(walked: Sequence[int], calls: Sequence[Sequence[str]], names: Mapping[str, int]) -> Iterator[int]:
     """Programs that none of the others calls."""
-    called = {names[name] for k in walked for name in calls[k] if name in names and names[name] != k}
-    return (k for k in walked if k not in called)
+    callees = {names[name] for k in walked for name in calls[k] if name in names and names[name] != k}
+    return (k for k in walked if k not in callees)

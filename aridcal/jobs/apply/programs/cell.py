@@ -53,7 +53,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ProgramReading:
     """What a reader says of a project.
 
     Attributes:

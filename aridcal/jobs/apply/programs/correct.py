@@ -22,17 +22,17 @@ from aridcal.engine.inverse.one_pose import FINEST_NOISE, MOST_UNAVOIDABLE
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import approach
 from aridcal.files.query import QueryRows
-from aridcal.jobs.apply.joint_commands import LEAST_MOTION
-from aridcal.jobs.apply.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
-from aridcal.jobs.apply.programs.corrections import Corrections, joined_corrections, uncorrected
+from aridcal.jobs.apply.joint_commands import LEAST_BACKLASH_MOTION
+from aridcal.jobs.apply.programs.branches import FIRST_BRANCHES, STARTS, Chain, Controller, Memory, Poses, flanges
+from aridcal.jobs.apply.programs.corrections import Corrections, joined_corrections, no_corrections
 from aridcal.jobs.apply.programs.notations import inverse
-from aridcal.jobs.apply.programs.targets import Notation, Place, Target
-from aridcal.jobs.apply.programs.text import LARGEST, NUL, written
+from aridcal.jobs.apply.programs.targets import Notation, PoseReference, Target
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NUL, written
 from aridcal.jobs.apply.target_poses import directions, extrapolates, needed_of, std_of
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import CovariateNotFound
 
-BEYOND = "is beyond what was measured for the calibration"
+BEYOND_MEASURED = "is beyond what was measured for the calibration"
 
 UNREACHED = "cannot be reached within the joint limits"
 
@@ -40,7 +40,7 @@ SINGULAR = "is close to a singularity: corrected as far as small motions of the 
 
 PARTLY = "does not state all axes: corrected as far as those can that it states"
 
-NOWHERE = "the nominal arm does not get there: it is out of reach, or base, tool or tip are others"
+NOT_NOMINAL = "the nominal arm does not get there: it is out of reach, or base, tool or tip are others"
 
 LIMITED = (
     "the nominal arm gets there beyond its joint limits only: it is out of reach, or base, tool or limits are others"
@@ -66,16 +66,16 @@ round a singularity, and the arm would swing there between two targets."""
 DAMPINGS = np.logspace(-4, 0, 9)
 """[m/rad]: tried one after the other until no joint moves further."""
 
-SAME = 1e-3
+OTHER_POSITION = 1e-3
 """[rad] or [m]: readings that differ by more are another position of the arm."""
 
 WORTH = 0.5
 """A correction that is not whole is made where it leaves less than half of the error."""
 
-LEVER = 1.0
+TIP_LEVER = 1.0
 """[m]: where positions alone were measured, a turn of the tip counts as so much as it moves a tool of this length."""
 
-BESIDE = "is also used a constant way off, where its correction is right in part only"
+ALSO_A_CONSTANT = "is also used a constant way off, where its correction is right in part only"
 
 BESIDE_WORSE = (
     "is also used a constant way off, where its correction would leave more than half of the error: give each a point"
@@ -85,7 +85,7 @@ BESIDE_NOWHERE = "is also used a constant way off, where the nominal arm does no
 
 UNSETTLED = "its correction depends on how the arm stands there: give --start J1,J2,…, or a joint target before it"
 
-AT_ONCE = 2_000
+TARGETS_AT_ONCE = 2_000
 """Targets that are worked out together: all that is made on the way takes some megabytes, and a program of any length no more."""
 
 
@@ -110,7 +110,7 @@ class _Arm:
     def real(self) -> InverseRows:
         """The calibrated arm with its effects; wanted poses are those of the target in the world."""
         expected, nominal = self.saved.expected, self.controller.inverse
-        lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.turns else LEVER
+        lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.turns else TIP_LEVER
         return InverseRows(
             ArmRows(expected.model, expected.theta, *self.labels), nominal.low, nominal.high, nominal.turning, lever
         )
@@ -131,7 +131,7 @@ class _Arm:
     def _allowed(self) -> tuple[float, float]:
         """What a pose may be missed by that counts as reached, [m] and [rad] times the lever."""
         lean = len(self.real.low) < 6
-        noise = self.saved.noise[0], self.saved.noise[1] if self.saved.turns else self.saved.noise[0] / LEVER
+        noise = self.saved.noise[0], self.saved.noise[1] if self.saved.turns else self.saved.noise[0] / TIP_LEVER
         position, rotation = (MOST_UNAVOIDABLE if lean else max(sigma, FINEST_NOISE) for sigma in noise)
         return position, rotation * self.real.lever
 
@@ -146,7 +146,7 @@ class _Arm:
         return {name: np.full(n, value) for name, value in given.items()} | dict(sides)
 
     def nearby(
-        self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, np.ndarray], held: np.ndarray
+        self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, np.ndarray], fixed: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         r"""Readings near others that bring the real tip to T_base_tip, and a remark for each where that is not wholly to be had.
 
@@ -155,39 +155,39 @@ class _Arm:
         .. math:: \delta q = J^T (J J^T + \lambda^2)^{-1} e
         """
         values, T = self.values(sides, len(q)), self.target(wanted)
-        found = self.real.approach(T, q, held, values)
-        position, rotation = (np.linalg.norm(found.error[:, part], axis=1) for part in (slice(3), slice(3, 6)))
+        end = self.real.approach(T, q, fixed, values)
+        position, rotation = (np.linalg.norm(end.error[:, part], axis=1) for part in (slice(3), slice(3, 6)))
         whole = (position < self._allowed[0]) & (rotation < self._allowed[1])
-        whole &= np.abs(found.readings - q).max(axis=1, initial=0.0) < GENTLE
-        whole[whole] = self._same_side(found.readings[whole], q[whole], held[whole])
-        readings, remarks = found.readings.copy(), np.full(len(q), "", dtype=object)
+        whole &= np.abs(end.readings - q).max(axis=1, initial=0.0) < GENTLE
+        whole[whole] = self._same_side(end.readings[whole], q[whole], fixed[whole])
+        readings, remarks = end.readings.copy(), np.full(len(q), "", dtype=object)
         some = ~whole
         if some.any():
             own = {name: value[some] for name, value in values.items()}
-            readings[some], remarks[some] = self._damped(T[some], q[some], held[some], own)
+            readings[some], remarks[some] = self._damped(T[some], q[some], fixed[some], own)
         return readings, remarks
 
     def _damped(
-        self, T: np.ndarray, q: np.ndarray, held: np.ndarray, values: Mapping[str, np.ndarray]
+        self, T: np.ndarray, q: np.ndarray, fixed: np.ndarray, values: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """One damped step for each target, and what is said of it."""
         e, J = self.real.error(T, q, values)
-        J = J * (np.isnan(held) & (self.real.low < self.real.high))[:, None]
+        J = J * (np.isnan(fixed) & (self.real.low < self.real.high))[:, None]
         back, H = J.transpose(0, 2, 1), J @ J.transpose(0, 2, 1)
         there, gentle = q.copy(), np.zeros(len(q), dtype=bool)
         for damping in DAMPINGS:
             step = (back @ np.linalg.solve(H + damping**2 * np.eye(6), e[:, :, None]))[:, :, 0]
-            trial = np.where(np.isnan(held), np.clip(q + step, self.real.low, self.real.high), held)
+            trial = np.where(np.isnan(fixed), np.clip(q + step, self.real.low, self.real.high), fixed)
             new = ~gentle & (np.abs(trial - q).max(axis=1, initial=0.0) < GENTLE)
             there[new], gentle = trial[new], gentle | new
-        left, _ = self.real.error(T, there, values)
-        worth = gentle & (np.linalg.norm(left, axis=1) < WORTH * np.linalg.norm(e, axis=1))
+        remaining, _ = self.real.error(T, there, values)
+        worth = gentle & (np.linalg.norm(remaining, axis=1) < WORTH * np.linalg.norm(e, axis=1))
         return np.where(worth[:, None], there, q), np.where(worth, SINGULAR, UNREACHED).astype(object)
 
-    def _same_side(self, q: np.ndarray, start: np.ndarray, held: np.ndarray) -> np.ndarray:
+    def _same_side(self, q: np.ndarray, start: np.ndarray, fixed: np.ndarray) -> np.ndarray:
         """Whether the controller, coming from a start, stands as wanted, and no elbow has gone through its singularity."""
-        found, reached, _ = self.controller.settle(flanges(self.controller.robot, q), start, held)
-        return np.asarray(reached & (np.abs(found - q).max(axis=1, initial=0.0) < SAME))
+        readings, reached, _ = self.controller.settle(flanges(self.controller.robot, q), start, fixed)
+        return np.asarray(reached & (np.abs(readings - q).max(axis=1, initial=0.0) < OTHER_POSITION))
 
     def miss(self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, np.ndarray]) -> np.ndarray:
         """How far the real target is from where it should be, [m] and [rad], shape (n, 2)."""
@@ -208,7 +208,7 @@ def correct(
     targets: Sequence[Target],
     covariates: Mapping[str, float],
     start: np.ndarray | None = None,
-    told: Callable[[int], None] = lambda done: None,
+    count_rows: Callable[[int], None] = lambda done: None,
 ) -> Corrections:
     """Correct the targets of a program, one after the other: each starts where the one before has come to.
 
@@ -217,7 +217,7 @@ def correct(
         targets: In the order in which the robot goes there.
         covariates: What effects depend on beside the joints: temperature, for instance.
         start: Readings where the program begins, shape (columns,), [rad] or [m]; default: the middle of what was measured.
-        told: Called with the number of targets that are done.
+        count_rows: Called with the number of targets that are done.
 
     Raises:
         CovariateNotFound: an effect depends on something that is not given.
@@ -228,28 +228,28 @@ def correct(
         raise CovariateNotFound(f"the model depends on {missing[0]!r}: state it, as in --at {missing[0]}=VALUE")
     middle = np.array([np.mean(saved.ranges.get(name, (0.0, 0.0))) for name in saved.final.model.robot.readings])
     walk = _Walk(arm, middle if start is None else start)
-    found = []
-    for first in range(0, max(len(targets), 1), AT_ONCE):
-        told(first)
-        found.append(walk.go(targets[first : first + AT_ONCE]))
-    return joined_corrections(found)
+    parts = []
+    for first in range(0, max(len(targets), 1), TARGETS_AT_ONCE):
+        count_rows(first)
+        parts.append(walk.go(targets[first : first + TARGETS_AT_ONCE]))
+    return joined_corrections(parts)
 
 
 def every_position(robot: Robot, targets: Sequence[Target]) -> list[list[np.ndarray]]:
     """All positions in which the nominal arm reaches each target's pose, whatever its posture in words; none of joint targets."""
     poses = [k for k, target in enumerate(targets) if target.form == "pose" and not target.why]
     own = [targets[k] for k in poses]
-    held = np.full((len(own), len(robot.readings)), np.nan)
+    fixed = np.full((len(own), len(robot.readings)), np.nan)
     for k, target in enumerate(own):
         if target.branch.held is not None:
-            held[k] = target.branch.held
-    wanted = _placed(own, [target.values.tolist() for target in own]) if own else np.empty((0, 4, 4))
+            fixed[k] = target.branch.held
+    poses_of_targets = _placed(own, [target.values.tolist() for target in own]) if own else np.empty((0, 4, 4))
     near = np.tile(np.clip(0.0, *robot.limits.T), (len(own), 1))
-    found: list[list[np.ndarray]] = [[] for _ in targets]
-    positions = Controller(robot).positions(Poses(wanted, held, [None] * len(own)), near)
+    by_target: list[list[np.ndarray]] = [[] for _ in targets]
+    positions = Controller(robot).positions(Poses(poses_of_targets, fixed, [None] * len(own)), near)
     for k, stands in zip(poses, positions, strict=True):
-        found[k] = stands
-    return found
+        by_target[k] = stands
+    return by_target
 
 
 @dataclass
@@ -306,14 +306,14 @@ class _Lot:
         """From which side joints come, of some."""
         return {name: side[rows] for name, side in self.sides.items()}
 
-    def tell(self, found: Corrections, rows: np.ndarray) -> None:
+    def tell(self, corrections: Corrections, rows: np.ndarray) -> None:
         """Write down what becomes of each in some rows of corrections."""
         for name in ("moved", "before", "after", "positions", "doubt", "beside"):
-            getattr(found, name)[rows] = getattr(self, name)
+            getattr(corrections, name)[rows] = getattr(self, name)
         for k, row in enumerate(rows.tolist()):
-            found.why[row], found.remark[row] = self.why[k], self.remark[k]
+            corrections.why[row], corrections.remark[row] = self.why[k], self.remark[k]
             if not self.why[k]:
-                found.texts[row], found.words[row] = NUL.join(self.texts[k]), NUL.join(self.words[k])
+                corrections.texts[row], corrections.words[row] = NUL.join(self.texts[k]), NUL.join(self.words[k])
 
 
 class _Walk:
@@ -334,21 +334,21 @@ class _Walk:
 
     def go(self, targets: Sequence[Target]) -> Corrections:
         """Correct some more targets."""
-        found = uncorrected(targets)
+        corrections = no_corrections(targets)
         plain = np.array([k for k, target in enumerate(targets) if not target.why or _passes(target)], dtype=int)
         if len(plain):
             own = [targets[k] for k in plain.tolist()]
             there, whys, lot = self._stood(own)
             for k, why in zip(plain[~there].tolist(), whys, strict=True):
-                found.why[k] = why
+                corrections.why[k] = why
             if lot is not None:
                 if len(lot.poses):
                     self._send_poses(lot)
                 if lot.joints.any():
                     self._send_joints(lot)
                 self._nominal, self._sent = lot.q[-1], lot.sent[-1]
-                lot.tell(found, plain[there])
-        return found
+                lot.tell(corrections, plain[there])
+        return corrections
 
     # --- where the controller stands ----------------------------------------------------------------------------------------
 
@@ -356,7 +356,7 @@ class _Walk:
         """Which targets the controller gets to, shape (n,); why not to the others; and the lot of those."""
         n, columns = len(targets), len(self._robot.readings)
         joints = np.array([target.form == "joints" for target in targets])
-        given, near, held = (np.full((n, columns), np.nan) for _ in range(3))
+        given, near, fixed = (np.full((n, columns), np.nan) for _ in range(3))
         fits: list[Callable[[np.ndarray], bool] | None] = [None] * n
         for k, target in enumerate(targets):
             branch = target.branch
@@ -364,7 +364,7 @@ class _Walk:
                 given[k] = target.readings
                 continue
             if branch.held is not None:
-                held[k] = branch.held
+                fixed[k] = branch.held
             if branch.near is not None:
                 near[k] = branch.near
             if branch.words is not None:
@@ -373,7 +373,7 @@ class _Walk:
         own = np.flatnonzero(~joints)
         values = [list(map(float, target.numbers.texts)) for target in targets]
         wanted[own] = _placed([targets[k] for k in own.tolist()], [values[k] for k in own.tolist()])
-        poses = Poses(wanted, held, fits)
+        poses = Poses(wanted, fixed, fits)
         memory: Memory = {}
         q, there = self._controller.walk(Chain(joints, given, poses, near), self._nominal, memory)
         nowhere = np.flatnonzero(~there)
@@ -382,18 +382,18 @@ class _Walk:
         ]
         if not there.any():
             return there, whys, None
-        q, joints, held = q[there], joints[there], held[there]
+        q, joints, fixed = q[there], joints[there], fixed[there]
         wanted = np.where(joints[:, None, None], flanges(self._robot, q), wanted[there])
         stated = np.isfinite(given[there])
         reached = [target for target, ok in zip(targets, there.tolist(), strict=True) if ok]
         values = [own for own, ok in zip(values, there.tolist(), strict=True) if ok]
-        return there, whys, _Lot(reached, values, joints, stated, q, wanted, held, self._approached(q))
+        return there, whys, _Lot(reached, values, joints, stated, q, wanted, fixed, self._approached(q))
 
     def _why_nowhere(self, target: Target, pose: Poses, memory: Memory) -> str:
         """Why the controller does not get to a pose, by what searches over all readings found."""
         ends = memory.get(pose.key(0))
         if ends is None or not len(ends):
-            return NOWHERE
+            return NOT_NOMINAL
         words = target.branch.words
         if words is None or not self._controller.within_limits(pose, ends):
             return LIMITED
@@ -401,13 +401,13 @@ class _Walk:
 
     def _approached(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """From which side each joint comes that has to do with it."""
-        found = {}
+        approaches = {}
         for name, side in self._sides.items():
             k = self._robot.names.index(name.removesuffix("_direction"))
             at, middle = self._robot.positions(q)[:, k], self._robot.positions(self._nominal[None])[0, k]
-            found[name] = approach(at, LEAST_MOTION, side, float(middle))
-            self._sides[name] = float(found[name][-1])
-        return found
+            approaches[name] = approach(at, LEAST_BACKLASH_MOTION, side, float(middle))
+            self._sides[name] = float(approaches[name][-1])
+        return approaches
 
     # --- joints -------------------------------------------------------------------------------------------------------------
 
@@ -446,14 +446,16 @@ class _Walk:
             for before, value, digits, (unit, j) in own:
                 text = written(value + (real[row, j] - q[row, j]) / unit, before, digits)
                 sent[row, j] = q[row, j] + (float(text) - value) * unit
-                large[row] |= abs(float(text)) > LARGEST
+                large[row] |= abs(float(text)) > LARGEST_IN_PROGRAM
                 texts.append(text)
             lot.texts[k] = tuple(texts)
         lot.moved[rows] = _apart(flanges(self._robot, sent), flanges(self._robot, as_is))
         lot.before[rows], lot.after[rows] = (self._arm.miss(wanted, there, sides) for there in (as_is, sent))
-        missed = ~free.all(axis=1) & (remark != UNREACHED)
-        missed[missed] = self._arm.miss(wanted[missed], real[missed], lot.own_sides(rows[missed]))[:, 0] > SEEN
-        remark[missed] = PARTLY
+        unreached = ~free.all(axis=1) & (remark != UNREACHED)
+        unreached[unreached] = (
+            self._arm.miss(wanted[unreached], real[unreached], lot.own_sides(rows[unreached]))[:, 0] > SEEN
+        )
+        remark[unreached] = PARTLY
         lot.remark[rows], lot.why[rows] = remark, self._left(real, remark, sides)
         lot.why[rows[large]] = TOO_LARGE
         for k in rows.tolist():
@@ -462,7 +464,7 @@ class _Walk:
 
     def _left(self, real: np.ndarray, remark: np.ndarray, sides: Mapping[str, np.ndarray]) -> np.ndarray:
         """Why targets are left as they are; empty of those that are not."""
-        beyond = np.where(self._arm.beyond(real, sides), BEYOND, "")
+        beyond = np.where(self._arm.beyond(real, sides), BEYOND_MEASURED, "")
         return np.where(remark == UNREACHED, UNREACHED, beyond).astype(object)
 
     # --- poses --------------------------------------------------------------------------------------------------------------
@@ -471,8 +473,8 @@ class _Walk:
         """Work out all targets that are poses."""
         rows = lot.poses
         targets, sides = [lot.targets[k] for k in rows.tolist()], lot.own_sides(rows)
-        wanted, q, held = lot.wanted[rows], lot.q[rows], lot.held[rows]
-        real, remark = self._arm.nearby(wanted, q, sides, held)
+        wanted, q, fixed = lot.wanted[rows], lot.q[rows], lot.held[rows]
+        real, remark = self._arm.nearby(wanted, q, sides, fixed)
         base, tool = _frames([_place(target) for target in targets])
         new = inverse(base) @ flanges(self._robot, real) @ tool
         numbers = []
@@ -482,23 +484,25 @@ class _Walk:
             numbers.append(list(map(float, lot.texts[k])))
         as_read = _placed(targets, numbers)
         whole = (remark == "")[:, None]  # the controller was seen to come there, and rounding is all that is between
-        sent, reached, _ = self._controller.settle(as_read, np.where(whole, real, q), held)
+        sent, reached, _ = self._controller.settle(as_read, np.where(whole, real, q), fixed)
         lot.real[rows], lot.sent[rows] = real, np.where(reached[:, None], sent, q)
         lot.moved[rows] = _apart(base @ new, wanted @ tool)
         lot.before[rows], lot.after[rows] = (self._arm.miss(wanted, there, sides) for there in (q, lot.sent[rows]))
         lot.remark[rows], lot.why[rows] = remark, self._left(real, remark, sides)
-        lot.why[[k for k, own in zip(rows.tolist(), numbers, strict=True) if max(map(abs, own)) > LARGEST]] = TOO_LARGE
+        lot.why[
+            [k for k, own in zip(rows.tolist(), numbers, strict=True) if max(map(abs, own)) > LARGEST_IN_PROGRAM]
+        ] = TOO_LARGE
         self._settle_stance(lot)
         self._reword(lot, rows, as_read)
         self._keep_shared(lot, rows)
         self._look_beside(lot, rows, numbers)
-        left = rows[lot.why[rows] != ""]
-        lot.sent[left] = lot.q[left]
+        uncorrected = rows[lot.why[rows] != ""]
+        lot.sent[uncorrected] = lot.q[uncorrected]
 
     def _settle_stance(self, lot: _Lot) -> None:
         """Leave poses of which nobody knows how the arm stands there, where their corrections depend on it."""
         rows = np.array([k for k in lot.poses.tolist() if _unsettled(lot.targets[k]) and not lot.why[k]], dtype=int)
-        for count in (FEW, STARTS):  # few starts find, as a rule, that corrections differ
+        for count in (FIRST_BRANCHES, STARTS):  # few starts find, as a rule, that corrections differ
             if len(rows):
                 self._compare(lot, rows, count)
                 rows = rows[lot.why[rows] == ""]
@@ -511,7 +515,7 @@ class _Walk:
             (k, other)
             for k, own in zip(rows.tolist(), positions, strict=True)
             for other in own
-            if np.abs(other - lot.q[k]).max() > SAME
+            if np.abs(other - lot.q[k]).max() > OTHER_POSITION
         ]
         lot.positions[rows] = 1
         if not pairs:
@@ -544,8 +548,8 @@ class _Walk:
         if changed:
             own = rows[changed]
             poses = Poses(as_read[changed], lot.held[own], fits)
-            taken, _ = self._controller.nearest(poses, lot.q[own], lot.sent[own], {})
-            other = np.abs(taken - lot.sent[own]).max(axis=1) > SAME
+            positions, _ = self._controller.nearest(poses, lot.q[own], lot.sent[own], {})
+            other = np.abs(positions - lot.sent[own]).max(axis=1) > OTHER_POSITION
             lot.why[own[other]] = ELSEWHERE
 
     def _keep_shared(self, lot: _Lot, rows: np.ndarray) -> None:
@@ -572,10 +576,10 @@ class _Walk:
         targets, places = [lot.targets[k] for k in of.tolist()], [place for _, place in pairs]
         wanted = _placed(targets, [lot.values[k] for k in of.tolist()], places)
         as_read = _placed(targets, [numbers[row] for row, _ in pairs], places)
-        held, sides = lot.held[of], lot.own_sides(of)
-        poses = Poses(wanted, held, [None] * len(of))
+        fixed, sides = lot.held[of], lot.own_sides(of)
+        poses = Poses(wanted, fixed, [None] * len(of))
         q, there = self._controller.nearest(poses, lot.q[of], lot.q[of], {})
-        sent, reached, _ = self._controller.settle(as_read, q, held)
+        sent, reached, _ = self._controller.settle(as_read, q, fixed)
         before, after = (self._arm.miss(wanted, readings, sides) for readings in (q, sent))
         weights = np.array([1.0, self._arm.real.lever])
         worth = np.linalg.norm(after * weights, axis=1) < WORTH * np.linalg.norm(before * weights, axis=1)
@@ -583,7 +587,7 @@ class _Walk:
         for k, ok, half in zip(of.tolist(), there & reached, worth, strict=True):
             if not (ok and half):
                 lot.why[k] = lot.why[k] or (BESIDE_WORSE if ok else BESIDE_NOWHERE)
-            lot.remark[k] = lot.remark[k] or BESIDE
+            lot.remark[k] = lot.remark[k] or ALSO_A_CONSTANT
 
 
 def _passes(target: Target) -> bool:
@@ -601,18 +605,20 @@ def _fits(target: Target) -> Callable[[np.ndarray], bool] | None:
     return None if target.branch.words is None else target.branch.words.agree
 
 
-def _place(target: Target) -> Place:
+def _place(target: Target) -> PoseReference:
     """Frame and tool of a pose."""
     assert target.place is not None
     return target.place
 
 
-def _frames(places: Sequence[Place]) -> tuple[np.ndarray, np.ndarray]:
+def _frames(places: Sequence[PoseReference]) -> tuple[np.ndarray, np.ndarray]:
     """Frames and tools, shape (n, 4, 4) each."""
     return np.array([place.base for place in places]), np.array([place.tool for place in places])
 
 
-def _placed(targets: Sequence[Target], numbers: Sequence[Sequence[float]], places: Sequence[Place] = ()) -> np.ndarray:
+def _placed(
+    targets: Sequence[Target], numbers: Sequence[Sequence[float]], places: Sequence[PoseReference] = ()
+) -> np.ndarray:
     """T_base_tip of poses that say some numbers, shape (n, 4, 4): at their own places, or at others."""
     poses = np.empty((len(targets), 4, 4))
     for notation, own in _by_notation(targets):
@@ -623,21 +629,21 @@ def _placed(targets: Sequence[Target], numbers: Sequence[Sequence[float]], place
 
 def _numbers(targets: Sequence[Target], before: Sequence[Sequence[float]], poses: np.ndarray) -> list[list[float]]:
     """What the notation of each target, which said other numbers before, says of poses (n, 4, 4) in its frame."""
-    found: list[list[float]] = [[]] * len(targets)
+    by_target: list[list[float]] = [[]] * len(targets)
     for notation, own in _by_notation(targets):
         values = notation.numbers(poses[own], np.array([before[k] for k in own]))
         for k, numbers in zip(own, values.tolist(), strict=True):
-            found[k] = numbers
-    return found
+            by_target[k] = numbers
+    return by_target
 
 
 def _by_notation(targets: Sequence[Target]) -> Iterator[tuple[Notation, list[int]]]:
     """The notations that targets are written in, and the numbers of the targets of each."""
-    found: dict[int, tuple[Notation, list[int]]] = {}
+    notations: dict[int, tuple[Notation, list[int]]] = {}
     for k, target in enumerate(targets):
         assert target.notation is not None
-        found.setdefault(id(target.notation), (target.notation, []))[1].append(k)
-    yield from found.values()
+        notations.setdefault(id(target.notation), (target.notation, []))[1].append(k)
+    yield from notations.values()
 
 
 def _apart(A: np.ndarray, B: np.ndarray) -> np.ndarray:

@@ -9,12 +9,12 @@ from typing import Any, overload
 
 import numpy as np
 
-from aridcal.jobs.apply.programs.proof import Change
+from aridcal.jobs.apply.programs.proof import TextChange
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import NUL
 from aridcal.system.errors import printable
 
-DIGITS = 6
+TABLE_DIGITS = 6
 """Of millimetres and milliradians in the side table: a nanometre, which nobody reads past."""
 
 WRITTEN_DIGITS = 12
@@ -118,7 +118,7 @@ class Corrections(Sequence[Correction]):
         empty = [""] * len(self.why)
         return replace(self, targets=targets, texts=empty, words=empty)
 
-    def changes(self) -> Iterator[Change]:
+    def changes(self) -> Iterator[TextChange]:
         """Numbers of targets that change, those of the posture among them, and what stands there now."""
         for target, why, texts, words in zip(self.targets, self.why, self.texts, self.words, strict=True):
             if not why:
@@ -131,21 +131,21 @@ def _differs(target: Target, texts: str, words: str) -> bool:
     return texts != target.numbers.joined or (stated is not None and bool(words) and words != stated.numbers.joined)
 
 
-def _changes(target: Target, texts: str, words: str) -> Iterator[Change]:
+def _changes(target: Target, texts: str, words: str) -> Iterator[TextChange]:
     stated = target.branch.words
     if texts != target.numbers.joined:
-        yield Change(target.file, target.numbers, texts)
+        yield TextChange(target.file, target.numbers, texts)
     if stated is not None and words and words != stated.numbers.joined:
-        yield Change(target.file, stated.numbers, words)
+        yield TextChange(target.file, stated.numbers, words)
 
 
-def uncorrected(targets: Sequence[Target]) -> Corrections:
+def no_corrections(targets: Sequence[Target]) -> Corrections:
     """Targets of which none is corrected, each with its own reason, if any: to be filled in."""
     n = len(targets)
-    moved, before, after = (np.full((n, 2), np.nan) for _ in range(3))
+    shift, before, after = (np.full((n, 2), np.nan) for _ in range(3))
     why, remark, texts, words = [target.why for target in targets], [""] * n, [""] * n, [""] * n
     one, none = np.ones(n, dtype=int), np.zeros(n)
-    return Corrections(targets, why, remark, texts, words, moved, before, after, one, none, none.copy())
+    return Corrections(targets, why, remark, texts, words, shift, before, after, one, none, none.copy())
 
 
 def joined_corrections(parts: Sequence[Corrections]) -> Corrections:
@@ -158,18 +158,21 @@ def joined_corrections(parts: Sequence[Corrections]) -> Corrections:
     return Corrections(**{own.name: column(own.name) for own in fields(Corrections)})
 
 
-def as_table(found: Corrections) -> dict[str, np.ndarray]:
+def as_table(corrections: Corrections) -> dict[str, np.ndarray]:
     """The corrections of each move, columns with one row a target; millimetres and milliradians."""
-    left = found.left
-    moved, after = np.where(left[:, None], 0.0, found.moved), np.where(left[:, None], found.before, found.after)
+    left = corrections.left
+    moved, after = (
+        np.where(left[:, None], 0.0, corrections.moved),
+        np.where(left[:, None], corrections.before, corrections.after),
+    )
     columns: dict[str, Any] = {
-        "line": np.array([target.line for target in found.targets], dtype=int),
-        "target": [printable(target.name) for target in found.targets],
-        "written_as": [target.form for target in found.targets],
+        "line": np.array([target.line for target in corrections.targets], dtype=int),
+        "target": [printable(target.name) for target in corrections.targets],
+        "written_as": [target.form for target in corrections.targets],
         "corrected": ~left,
         "remark": [
             printable(why or _remark(*remark))
-            for why, *remark in zip(found.why, found.remark, found.beside, strict=True)
+            for why, *remark in zip(corrections.why, corrections.remark, corrections.beside, strict=True)
         ],
     }
     names = (
@@ -177,14 +180,14 @@ def as_table(found: Corrections) -> dict[str, np.ndarray]:
         ("error_before_mm", "error_before_mrad"),
         ("error_after_mm", "error_after_mrad"),
     )
-    for pair, values in zip(names, (moved, found.before, after), strict=True):
-        columns |= dict(zip(pair, np.round(1e3 * values.T, DIGITS), strict=True))
-    columns["arm_positions"] = found.positions
-    columns["other_position_mm"] = np.round(1e3 * found.doubt, DIGITS)
+    for pair, values in zip(names, (moved, corrections.before, after), strict=True):
+        columns |= dict(zip(pair, np.round(1e3 * values.T, TABLE_DIGITS), strict=True))
+    columns["arm_positions"] = corrections.positions
+    columns["other_position_mm"] = np.round(1e3 * corrections.doubt, TABLE_DIGITS)
     return {
         name: np.asarray(column, dtype=object if isinstance(column, list) else None) for name, column in columns.items()
     }
 
 
 def _remark(remark: str, beside: float) -> str:
-    return f"{remark}: {1e3 * beside:.{DIGITS}f} mm remain there at most" if beside else remark
+    return f"{remark}: {1e3 * beside:.{TABLE_DIGITS}f} mm remain there at most" if beside else remark

@@ -13,7 +13,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.tree import read_tree
 from aridcal.files.instrument_settings import Placement
 from aridcal.files.yaml_file import Number, Settings, load_settings
-from aridcal.jobs.apply.programs.axes import MOST
+from aridcal.jobs.apply.programs.axes import MOST_AXES
 from aridcal.jobs.apply.programs.text import Code
 from aridcal.jobs.apply.programs.uses import ANY, Frame, line_name
 from aridcal.jobs.apply.programs.walk import Unknown
@@ -28,14 +28,14 @@ docs/apply/index.md has a page for each controller: how it writes its frames"""
 FURTHEST_TURN = 6.3
 """[rad]: a turn, with its rounding."""
 
-FARTHEST = 100.0
+FARTHEST_FRAME = 100.0
 """[m]: the longest rails of robots have half of it."""
 
 ROUNDED = 1e-3
 """[m] and of a rotation's matrix: a listing in tenths of a millimetre and of a degree agrees with exact numbers within that."""
 
 
-class FrameSettings(Settings):
+class ProgramFrameSettings(Settings):
     """A file of ``--frames``.
 
     Attributes:
@@ -62,7 +62,7 @@ class KnownFrames:
     Attributes:
         bases: Where targets are.
         tools: What is to be there.
-        start: See :class:`FrameSettings`.
+        start: See :class:`ProgramFrameSettings`.
         harmless: Likewise, in small letters.
         j3_from_link_2: Likewise.
         pulses_per_degree: Likewise.
@@ -85,11 +85,13 @@ def read_frames(path: Path | None) -> KnownFrames:
     if path is None:
         return KnownFrames()
     try:
-        settings = load_settings(path, FrameSettings)
+        settings = load_settings(path, ProgramFrameSettings)
     except CampaignError as problem:
         raise CampaignError(f"{problem}\n{EXAMPLE}" if path.is_file() else str(problem)) from None
-    if settings.pulses_per_degree and (len(settings.pulses_per_degree) != MOST or 0.0 in settings.pulses_per_degree):
-        raise CampaignError(f"{path}: pulses_per_degree: should be {MOST} numbers, none of them 0: of S L U R B T")
+    if settings.pulses_per_degree and (
+        len(settings.pulses_per_degree) != MOST_AXES or 0.0 in settings.pulses_per_degree
+    ):
+        raise CampaignError(f"{path}: pulses_per_degree: should be {MOST_AXES} numbers, none of them 0: of S L U R B T")
     harmless = frozenset(name.lower() for name in settings.harmless)
     bases, tools = (_poses(path, kind, getattr(settings, kind)) for kind in ("bases", "tools"))
     return KnownFrames(bases, tools, settings.start, harmless, settings.j3_from_link_2, settings.pulses_per_degree)
@@ -120,7 +122,7 @@ def _poses(path: Path, kind: str, placements: Mapping[str, Placement]) -> dict[s
         where = f"{path}: {kind}: {name}"
         if max(map(abs, placement.rpy)) > FURTHEST_TURN:
             raise CampaignError(f"{where}: rpy is in radians, and {max(placement.rpy, key=abs):g} is more than a turn")
-        if max(map(abs, placement.xyz)) > FARTHEST:
+        if max(map(abs, placement.xyz)) > FARTHEST_FRAME:
             raise CampaignError(f"{where}: xyz is in metres, and {max(placement.xyz, key=abs):g} is in no cell")
         if name.lower() in poses:
             raise CampaignError(f"{where}: stands there twice, for names are compared in small letters")
@@ -188,6 +190,6 @@ def absent(name: str) -> str:
     return f"{name} is in no given file, and may change frames and points: give its file, or state it as `harmless` in --frames"
 
 
-def unknown(kind: str, name: str) -> str:
+def unknown_frame(kind: str, name: str) -> str:
     """Why a target in a frame that only the controller has is left as it is."""
     return f"{kind} {name} is not in the program: state it with --frames"

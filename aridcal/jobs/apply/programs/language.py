@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aridcal.jobs.apply.programs.axes import DEGREE, MILLIMETRE
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.moves import Moves
 from aridcal.jobs.apply.programs.project import Project
 
@@ -31,7 +31,7 @@ class Language:
 
     name: str
     endings: tuple[str, ...]
-    read: Callable[[Project, Cell], Reading]
+    read: Callable[[Project, Cell], ProgramReading]
     angle: float = DEGREE
     length: float = MILLIMETRE
     context: Callable[[Path], list[Path]] = lambda path: []

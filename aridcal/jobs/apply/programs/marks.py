@@ -12,12 +12,12 @@ from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.text import Number
 from aridcal.system.errors import AridcalError
 
-DIGITS = 16
+HASH_DIGITS = 16
 """Of a calibration's SHA-256 that a comment has."""
 
-MARK = re.compile(rf"corrected by aridcal with calibration ([0-9a-f]{{{DIGITS}}}) on (\d{{4}}-\d\d-\d\d)")
+MARK = re.compile(rf"corrected by aridcal with calibration ([0-9a-f]{{{HASH_DIGITS}}}) on (\d{{4}}-\d\d-\d\d)")
 
-SIDE = ".corrections.csv"
+SIDE_TABLE_ENDING = ".corrections.csv"
 """Ending of the table that stands beside a corrected program, behind its name."""
 
 SIDE_OF_FOLDER = "corrections.csv"
@@ -37,7 +37,7 @@ def mark_of(language: Language, text: str, calibration: bytes, day: str) -> tupl
     """
     if language.comment is None:
         return None
-    digest = hashlib.sha256(calibration).hexdigest()[:DIGITS]
+    digest = hashlib.sha256(calibration).hexdigest()[:HASH_DIGITS]
     place, comment = language.comment(
         text, f"corrected by aridcal with calibration {digest} on {day}: do not correct it again"
     )
@@ -61,7 +61,7 @@ def refuse_corrected(path: Path, text: str) -> None:
             f"{path}: was corrected on {mark.group(2)} with calibration {mark.group(1)}: correct the program as it was before"
         )
     tables = [
-        path.with_name(f"{path.name}{SIDE}"),
+        path.with_name(f"{path.name}{SIDE_TABLE_ENDING}"),
         *(folder / SIDE_OF_FOLDER for folder in path.absolute().parents[:3]),
     ]
     if any(output_hash(text) in _hashes(table) for table in tables):

@@ -10,7 +10,7 @@ import numpy as np
 from aridcal import __version__
 from aridcal.system.errors import printable, shortened
 
-AXES = 6
+ARM_AXES = 6
 """Axes of an arm in KRL and RAPID, and as many external ones; joints of a UR."""
 
 
@@ -68,7 +68,7 @@ class Moves:
 
     def axes(self) -> list[str]:
         """Axes of a controller for each joint: revolute ones are the arm's, prismatic ones are external."""
-        arm, outside = (iter([f"{letter}{k}" for k in range(1, AXES + 1)]) for letter in ("A", "E"))
+        arm, outside = (iter([f"{letter}{k}" for k in range(1, ARM_AXES + 1)]) for letter in ("A", "E"))
         return [next(outside) if kind == "prismatic" else next(arm) for kind in self.kinds]
 
     def shown(self, stop: Stop) -> list[float]:

@@ -20,17 +20,17 @@ MILLI = 1e-3
 
 def pose(position: np.ndarray, rotation: Rotation) -> np.ndarray:
     """Transforms of shape (..., 4, 4) from positions (..., 3), [m], and rotations."""
-    found = np.zeros((*position.shape[:-1], 4, 4))
-    found[..., :3, :3], found[..., :3, 3], found[..., 3, 3] = rotation.as_matrix(), position, 1.0
-    return found
+    T = np.zeros((*position.shape[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation.as_matrix(), position, 1.0
+    return T
 
 
 def inverse(T: np.ndarray) -> np.ndarray:
     """The inverses of transforms, shape (..., 4, 4)."""
-    found, back = np.zeros_like(T), np.swapaxes(T[..., :3, :3], -1, -2)
-    found[..., :3, :3], found[..., :3, 3] = back, -(back @ T[..., :3, 3:])[..., 0]
-    found[..., 3, 3] = 1.0
-    return found
+    T_inverse, back = np.zeros_like(T), np.swapaxes(T[..., :3, :3], -1, -2)
+    T_inverse[..., :3, :3], T_inverse[..., :3, 3] = back, -(back @ T[..., :3, 3:])[..., 0]
+    T_inverse[..., 3, 3] = 1.0
+    return T_inverse
 
 
 def _euler(

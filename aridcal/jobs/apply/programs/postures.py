@@ -111,8 +111,8 @@ def krl_words(status: Number | None, turn: Number | None, cell: Cell) -> Words |
     given = [(name, n, rule) for name, n, rule in (("S", status, _status), ("T", turn, _turn)) if n is not None]
     if not given:
         return None
-    written = ", ".join(f"{name} {{}}" for name, _, _ in given)
-    return _words([n for _, n, _ in given], tuple(rule for _, _, rule in given), written, cell)
+    pattern = ", ".join(f"{name} {{}}" for name, _, _ in given)
+    return _words([n for _, n, _ in given], tuple(rule for _, _, rule in given), pattern, cell)
 
 
 def rapid_words(data: Sequence[Number], cell: Cell) -> Words | None:
@@ -153,12 +153,12 @@ def _letters(axes: Axes) -> tuple[Rule, ...]:
     return *([_letter] * 3), *counts
 
 
-def _words(numbers: Sequence[Number], rules: tuple[Rule, ...], written: str, cell: Cell) -> Words:
+def _words(numbers: Sequence[Number], rules: tuple[Rule, ...], pattern: str, cell: Cell) -> Words:
     own = numbers if isinstance(numbers, Numbers) else Numbers(numbers)
-    return Words(own, Posture(own, rules, cell.axes, cell.anatomy), written)
+    return Words(own, Posture(own, rules, cell.axes, cell.anatomy), pattern)
 
 
-def unread(language: str, cell: Cell) -> str:
+def unread_words(language: str, cell: Cell) -> str:
     """What of a language's words is kept because this arm's geometry does not say what it means; empty if nothing.
 
     Args:

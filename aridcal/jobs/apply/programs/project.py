@@ -9,12 +9,12 @@ from pathlib import Path
 from aridcal.system.errors import AridcalError
 from aridcal.system.reading.regular_files import Limit, read_file
 
-PROGRAM = Limit(50)
+PROGRAM_LIMIT = Limit(50)
 """A spraying path of a million points has 50 MB."""
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceFile:
     """A file of a project.
 
     Attributes:
@@ -36,11 +36,11 @@ class Project:
         sources: Those to be corrected first.
     """
 
-    sources: tuple[Source, ...]
+    sources: tuple[SourceFile, ...]
 
     def with_texts(self, texts: Sequence[str]) -> Project:
         """The same files with other texts."""
-        return Project(tuple(Source(s.path, text, s.ours) for s, text in zip(self.sources, texts, strict=True)))
+        return Project(tuple(SourceFile(s.path, text, s.ours) for s, text in zip(self.sources, texts, strict=True)))
 
 
 def read_text(path: Path) -> str:
@@ -49,7 +49,7 @@ def read_text(path: Path) -> str:
     Raises:
         AridcalError: it is not there, too large, or no text of one byte a letter.
     """
-    content = read_file(path, AridcalError, PROGRAM)
+    content = read_file(path, AridcalError, PROGRAM_LIMIT)
     if b"\0" in content:
         raise AridcalError(
             f"{path}: is no text of one byte a letter: export the program as ASCII, ISO 8859 or UTF-8 text"

@@ -10,9 +10,9 @@ from pathlib import Path
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import LANGUAGES, language_of
 from aridcal.jobs.apply.programs.marks import MARK
-from aridcal.jobs.apply.programs.project import Project, Source, read_text
+from aridcal.jobs.apply.programs.project import Project, SourceFile, read_text
 from aridcal.system.errors import AridcalError
-from aridcal.system.writing.table_writer import ENDINGS
+from aridcal.system.writing.table_writer import WRITTEN_ENDINGS
 
 MOST_FILES = 2000
 """Of one project: the largest backups of a controller have some hundreds."""
@@ -22,7 +22,7 @@ SYSTEM = "$"
 
 
 @dataclass(frozen=True)
-class Opened:
+class LoadedProject:
     """A project as it was read.
 
     Attributes:
@@ -38,10 +38,10 @@ class Opened:
 
 def is_program(path: Path) -> bool:
     """Whether a path is a program's file by its name, or a folder: of programs then, unless it has the name of a table."""
-    return language_of(path) is not None or (path.is_dir() and path.suffix.lower() not in ENDINGS)
+    return language_of(path) is not None or (path.is_dir() and path.suffix.lower() not in WRITTEN_ENDINGS)
 
 
-def read_project(paths: Sequence[Path], out: Path) -> Opened:
+def read_project(paths: Sequence[Path], out: Path) -> LoadedProject:
     """Read programs with what belongs to them.
 
     Args:
@@ -51,9 +51,9 @@ def read_project(paths: Sequence[Path], out: Path) -> Opened:
     Raises:
         AridcalError: there is none, they are of several languages, or a file cannot be read.
     """
-    named = [(file, file.name) for path in paths if not path.is_dir() for file in (path,)]
-    named += [(file, str(file.relative_to(path))) for path in paths if path.is_dir() for file in _below(path)]
-    files = {os.path.realpath(file): (file, Path(name)) for file, name in named}
+    named_files = [(file, file.name) for path in paths if not path.is_dir() for file in (path,)]
+    named_files += [(file, str(file.relative_to(path))) for path in paths if path.is_dir() for file in _below(path)]
+    files = {os.path.realpath(file): (file, Path(name)) for file, name in named_files}
     ours = {
         real: (file, name)
         for real, (file, name) in files.items()
@@ -64,10 +64,10 @@ def read_project(paths: Sequence[Path], out: Path) -> Opened:
         raise AridcalError("two of the programs have the same name: give the folder that both are in")
     beside = [file for file, _ in files.values()] + [b for file, _ in ours.values() for b in language.context(file)]
     context = {real: file for file in beside if (real := os.path.realpath(file)) not in (*ours, os.path.realpath(out))}
-    own = tuple(Source(file, read_text(file)) for file, _ in ours.values())
-    others = (Source(file, read_text(file), False) for file in context.values())
+    own = tuple(SourceFile(file, read_text(file)) for file, _ in ours.values())
+    others = (SourceFile(file, read_text(file), False) for file in context.values())
     uncorrected = tuple(source for source in others if not MARK.search(source.text))
-    return Opened(language, Project((*own, *uncorrected)), tuple(name for _, name in ours.values()))
+    return LoadedProject(language, Project((*own, *uncorrected)), tuple(name for _, name in ours.values()))
 
 
 def _below(folder: Path) -> list[Path]:

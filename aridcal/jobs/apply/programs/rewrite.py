@@ -21,16 +21,23 @@ from aridcal.jobs.apply.programs.corrections import WRITTEN_DIGITS, Corrections,
 from aridcal.jobs.apply.programs.frames import read_frames
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import language_of
-from aridcal.jobs.apply.programs.marks import OUTPUT_HASH, SIDE, SIDE_OF_FOLDER, mark_of, output_hash, refuse_corrected
-from aridcal.jobs.apply.programs.proof import Change, corrected, edited, meant
-from aridcal.jobs.apply.programs.read_project import Opened, read_project
+from aridcal.jobs.apply.programs.marks import (
+    OUTPUT_HASH,
+    SIDE_OF_FOLDER,
+    SIDE_TABLE_ENDING,
+    mark_of,
+    output_hash,
+    refuse_corrected,
+)
+from aridcal.jobs.apply.programs.proof import TextChange, corrected, edit_texts, expected_targets
+from aridcal.jobs.apply.programs.read_project import LoadedProject, read_project
 from aridcal.jobs.apply.programs.text import Numbers
 from aridcal.jobs.calibrate.saved_model import SavedModel, calibration_file
 from aridcal.system.errors import CampaignError, MeasurementError, OutputError, printable
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.freed import give_back
+from aridcal.system.reading.memory_release import give_back
 from aridcal.system.reading.regular_files import CALIBRATION, read_file
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import write_csv
 from aridcal.system.writing.whole_files import atomic_file, atomic_folder, check_home, claimed
 
@@ -91,7 +98,7 @@ class Answer:
     notes: tuple[str, ...]
     corrections: Corrections
     outputs: Outputs
-    opened: Opened
+    opened: LoadedProject
     saved: SavedModel
 
 
@@ -106,26 +113,26 @@ def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
         AridcalError: a file cannot be read or written, has no target, or was corrected before.
         Unproved: the new text does not say what was meant: a fault of ours.
     """
-    beside = request.out.with_name(f"{request.out.name}{SIDE}")
+    beside = request.out.with_name(f"{request.out.name}{SIDE_TABLE_ENDING}")
     check_apart([request.out, beside], [*request.programs, request.calibration, request.frames])
-    opened = read_project(request.programs, request.out)
-    for source in opened.project.sources:
+    loaded = read_project(request.programs, request.out)
+    for source in loaded.project.sources:
         if source.ours:
             refuse_corrected(source.path, source.text)
     request = replace(request, calibration=calibration_file(request.calibration))
-    outputs = _outputs(request, opened)
+    outputs = _outputs(request, loaded)
     content = read_file(request.calibration, CampaignError, CALIBRATION)
     saved = _of_limb(SavedModel.load(request.calibration), request.of)
     with ExitStack() as ends:
         if outputs.folder is not None:
-            ends.enter_context(claimed(outputs.folder, "folder", [*map(str, opened.names), SIDE_OF_FOLDER]))
+            ends.enter_context(claimed(outputs.folder, "folder", [*map(str, loaded.names), SIDE_OF_FOLDER]))
         else:
             ends.enter_context(claimed(outputs.files[0], "file"))
             ends.enter_context(claimed(outputs.side, "file"))
         ends.enter_context(_uncollected())
-        notes, corrections, texts = _corrected(request, saved, content, opened, progress)
-        _write(opened, outputs, texts, corrections)
-    return Answer(notes, corrections, outputs, opened, saved)
+        notes, corrections, texts = _corrected(request, saved, content, loaded, progress)
+        _write(loaded, outputs, texts, corrections)
+    return Answer(notes, corrections, outputs, loaded, saved)
 
 
 @contextmanager
@@ -175,10 +182,10 @@ def _refuse_coupled(robot: Robot) -> None:
 
 
 def _corrected(
-    request: Request, saved: SavedModel, content: bytes, opened: Opened, progress: Progress
+    request: Request, saved: SavedModel, content: bytes, loaded: LoadedProject, progress: Progress
 ) -> tuple[tuple[str, ...], Corrections, tuple[str, ...]]:
     """What was taken for granted, what becomes of each target, and the proved new text of each file."""
-    language, robot = opened.language, saved.final.model.robot
+    language, robot = loaded.language, saved.final.model.robot
     if robot.climbs:
         raise CampaignError(
             f"{request.calibration}: joints move the base {robot.base!r}, and a program says where its targets are in a "
@@ -191,9 +198,9 @@ def _corrected(
     start = None if numbers is None else _readings(numbers, where, axes, language)
     cell = Cell(robot, frames, axes.zeros, start is not None)
     progress.at("reading the program")
-    reading = language.read(opened.project, cell)
+    reading = language.read(loaded.project, cell)
     if not reading.targets:
-        names = ", ".join(str(source.path) for source in opened.project.sources if source.ours)
+        names = ", ".join(str(source.path) for source in loaded.project.sources if source.ours)
         raise MeasurementError(f"{names}: no target of {language.name} is in it; is it a program of this maker?")
     progress.at("correcting the program")
     count = len(reading.targets)
@@ -201,14 +208,14 @@ def _corrected(
     corrections = correct(saved, targets, request.at, start, lambda done: progress.share(done / count))
     hint = _zeros_hint(corrections, cell, language)
     progress.at("reading the new program")
-    marks = _marks(language, opened, corrections.files(), content)
-    new = edited(opened.project, chain(corrections.changes(), marks))
-    said, notes, corrections = meant(reading.targets), reading.notes, corrections.named(())
+    marks = _marks(language, loaded, corrections.files(), content)
+    new = edit_texts(loaded.project, chain(corrections.changes(), marks))
+    expected, notes, corrections = expected_targets(reading.targets), reading.notes, corrections.named(())
     del reading, targets, marks  # a long program has too many to keep them while the new text is read
     gc.collect()  # of what was made of the text some parts hold each other
     give_back()
-    texts = corrected(language, opened.project, cell, said, new)
-    named = corrections.named([target for part in said for target in part.named()])
+    texts = corrected(language, loaded.project, cell, expected, new)
+    named = corrections.named([target for part in expected for target in part.named()])
     return (*notes, *([hint] if hint else [])), named, texts
 
 
@@ -220,14 +227,16 @@ def _zeros_hint(corrections: Corrections, cell: Cell, language: Language) -> str
     return zeros_hint([*poses, *joints], positions, cell, language.name)
 
 
-def _marks(language: Language, opened: Opened, files: Collection[int], calibration: bytes) -> Iterator[Change]:
+def _marks(
+    language: Language, loaded: LoadedProject, files: Collection[int], calibration: bytes
+) -> Iterator[TextChange]:
     """A comment in each file that changes."""
     day = datetime.date.today().isoformat()
     for file in files:
-        mark = mark_of(language, opened.project.sources[file].text, calibration, day)
+        mark = mark_of(language, loaded.project.sources[file].text, calibration, day)
         if mark is not None:
             place, comment = mark
-            yield Change(file, Numbers([place]), comment)
+            yield TextChange(file, Numbers([place]), comment)
 
 
 def _readings(numbers: Sequence[float], where: str, axes: Axes, language: Language) -> np.ndarray:
@@ -241,27 +250,27 @@ def _readings(numbers: Sequence[float], where: str, axes: Axes, language: Langua
     return readings
 
 
-def _outputs(request: Request, opened: Opened) -> Outputs:
+def _outputs(request: Request, loaded: LoadedProject) -> Outputs:
     """Where the programs of a project are to be written.
 
     Raises:
         OutputError: a file that is read would be replaced, or would be read as a program next time, or a file was named that
             is none of this language.
     """
-    out, language = request.out, opened.language
-    single = len(opened.names) == 1 and not out.is_dir() and not request.programs[0].is_dir()
+    out, language = request.out, loaded.language
+    single = len(loaded.names) == 1 and not out.is_dir() and not request.programs[0].is_dir()
     if single and language_of(out) is not language and out.suffix:
-        name = opened.project.sources[0].path.name
+        name = loaded.project.sources[0].path.name
         raise OutputError(f"{out}: should end as {name} does: it is {language.name}, too; or be a folder")
     if not single and language_of(out) is not None:
-        raise OutputError(f"{out}: should be a folder: {len(opened.names)} programs are to be written")
+        raise OutputError(f"{out}: should be a folder: {len(loaded.names)} programs are to be written")
     if single and out.suffix:
         check_home(out)
-        outputs = Outputs((out,), out.with_name(f"{out.name}{SIDE}"), None)
+        outputs = Outputs((out,), out.with_name(f"{out.name}{SIDE_TABLE_ENDING}"), None)
     else:
         _check_outside(out, request.programs)
-        outputs = Outputs(tuple(out / name for name in opened.names), out / SIDE_OF_FOLDER, out)
-    inputs = [*(source.path for source in opened.project.sources), request.calibration, request.frames]
+        outputs = Outputs(tuple(out / name for name in loaded.names), out / SIDE_OF_FOLDER, out)
+    inputs = [*(source.path for source in loaded.project.sources), request.calibration, request.frames]
     check_apart([*outputs.files, outputs.side], inputs)
     return outputs
 
@@ -275,9 +284,9 @@ def _check_outside(out: Path, programs: Sequence[Path]) -> None:
             raise OutputError(f"{out}: is where the programs are read from; give a folder outside of {folder}")
 
 
-def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: Corrections) -> None:
+def _write(loaded: LoadedProject, outputs: Outputs, texts: Sequence[str], corrections: Corrections) -> None:
     """Write the programs and the table beside them, all or none."""
-    sources = opened.project.sources
+    sources = loaded.project.sources
     hashes = [output_hash(text) if text != source.text else "" for source, text in zip(sources, texts, strict=True)]
     table = as_table(corrections)
     if len(outputs.files) > 1:
@@ -288,7 +297,7 @@ def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: 
     with ExitStack() as ends:
         if outputs.folder is not None:
             built = ends.enter_context(atomic_folder(outputs.folder))
-            places = [built / name for name in opened.names]
+            places = [built / name for name in loaded.names]
             side = built / SIDE_OF_FOLDER
         else:
             places = [ends.enter_context(atomic_file(outputs.files[0]))]

@@ -97,7 +97,7 @@ NOTHING_SAID = Branch()
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class PoseReference:
     """Where the numbers of a pose are meant.
 
     Attributes:
@@ -139,8 +139,8 @@ class Target:
     readings: np.ndarray | None = None
     units: tuple[tuple[float, int], ...] = ()
     notation: Notation | None = None
-    place: Place | None = None
-    beside: tuple[Place, ...] = ()
+    place: PoseReference | None = None
+    beside: tuple[PoseReference, ...] = ()
     branch: Branch = NOTHING_SAID
     digits: int = 6
     file: int = 0

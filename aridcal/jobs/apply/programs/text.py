@@ -16,12 +16,12 @@ NUMBER = re.compile(r"[-+]?+(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?+\d++)?")
 NUL = "\0"
 """No number has it in its text."""
 
-LARGEST = 1e6
+LARGEST_IN_PROGRAM = 1e6
 """In any unit, metres or degrees: no arm has a larger number in a target, and none with one is corrected."""
 
 BRACKET = re.compile(r"[()\[\]{}]")
 
-NEAR = 500
+BRACKET_SEARCH_LETTERS = 500
 """Letters in which a bracket's closing one is looked for first: a line or two, where most are."""
 
 CLOSES = {"(": ")", "[": "]", "{": "}"}
@@ -146,19 +146,19 @@ class Code:
 
     def _closing_near(self, place: int) -> int:
         """The same where it is near, without a look at the whole text; 0 where that does not tell."""
-        opened = ""
+        open_brackets = ""
         if self.plain[place : place + 1] not in CLOSES:
             return 0
-        for match in BRACKET.finditer(self.plain, place, place + NEAR):
+        for match in BRACKET.finditer(self.plain, place, place + BRACKET_SEARCH_LETTERS):
             bracket = match.group()
             if bracket in CLOSES:
-                opened += CLOSES[bracket]
-            elif not opened.endswith(bracket):
+                open_brackets += CLOSES[bracket]
+            elif not open_brackets.endswith(bracket):
                 return 0
-            elif len(opened) == 1:
+            elif len(open_brackets) == 1:
                 return match.start()
             else:
-                opened = opened[:-1]
+                open_brackets = open_brackets[:-1]
         return 0
 
     def arguments(self, start: int, end: int) -> list[tuple[int, int]]:
@@ -190,17 +190,17 @@ class Code:
 def bracket_pairs(text: str) -> tuple[array[int], array[int]]:
     """Places of opening brackets that have their own closing one, in order, and those of these."""
     opening, closing = array("I"), array("I")
-    opened: list[int] = []  # numbers among the opening ones
+    open_brackets: list[int] = []  # numbers among the opening ones
     for match in BRACKET.finditer(text):
         place, bracket = match.start(), match.group()
         if bracket in CLOSES:
-            opened.append(len(opening))
+            open_brackets.append(len(opening))
             opening.append(place)
             closing.append(0)  # what is not closed ends nowhere: no bracket closes at the first place
-        elif opened and CLOSES[text[opening[opened[-1]]]] == bracket:
-            closing[opened.pop()] = place
+        elif open_brackets and CLOSES[text[opening[open_brackets[-1]]]] == bracket:
+            closing[open_brackets.pop()] = place
         else:  # what does not fit leaves all that is open without an end
-            opened.clear()
+            open_brackets.clear()
     return opening, closing
 
 

@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.targets import PoseReference, Target
 from aridcal.jobs.apply.programs.text import Code
 from aridcal.jobs.apply.programs.walk import Unknown
 
@@ -17,7 +17,7 @@ ANY = -1
 
 NEVER = "no move of the given files goes there, so that its frame and tool are not known"
 
-SAME = 1e-9
+SAME_FRAME = 1e-9
 """[m] and of a rotation's matrix: frames that differ by rounding are the same."""
 
 
@@ -28,7 +28,7 @@ class Frame:
     T: np.ndarray
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Frame) and (self.T is other.T or bool(np.abs(self.T - other.T).max() < SAME))
+        return isinstance(other, Frame) and (self.T is other.T or bool(np.abs(self.T - other.T).max() < SAME_FRAME))
 
     def __matmul__(self, other: Frame) -> Frame:
         return Frame(self.T @ other.T)
@@ -81,10 +81,10 @@ class Use(NamedTuple):
         return self.why or (base.why if isinstance(base, Unknown) else tool.why if isinstance(tool, Unknown) else "")
 
     @property
-    def place(self) -> Place:
+    def place(self) -> PoseReference:
         """The frame and the tool, of a use without trouble."""
         assert isinstance(self.base, Frame) and isinstance(self.tool, Frame)
-        return Place(self.base.T, self.tool.T)
+        return PoseReference(self.base.T, self.tool.T)
 
     def same(self, other: Use) -> bool:
         """True where both mean the same place of the same tip, in the same way."""
@@ -99,7 +99,7 @@ class Use(NamedTuple):
 What = TypeVar("What")
 """What a language calls a point of its text."""
 
-Make = Callable[[What, Use, tuple[Place, ...]], Target]
+Make = Callable[[What, Use, tuple[PoseReference, ...]], Target]
 """Turns a point, its use and its other places into a target without a reason."""
 
 

@@ -1,9 +1,9 @@
 """Abstract interpretation: a program walked along all ways that it can take, with what is certain of its state on each.
 
 A language turns a text into routines of nodes (:class:`Step`, :class:`Choice`, :class:`Repeat`, ...) and says by its
-:class:`Semantics` what a statement does to a :class:`State`. The walk does the rest (Cousot and Cousot, POPL 1977): where ways
-meet, what differs between them is unknown; a loop is walked until the state at its head stays; a called routine is walked in the
-state of its caller. What is not certain is :class:`Unknown`, with the reason that the user reads.
+:class:`Semantics` what a statement does to a :class:`ProgramState`. The walk does the rest (Cousot and Cousot, POPL 1977):
+where ways meet, what differs between them is unknown; a loop is walked until the state at its head stays; a called routine is
+walked in the state of its caller. What is not certain is :class:`Unknown`, with the reason that the user reads.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-PASSES = 6
+MOST_LOOP_WALKS = 6
 """Walks of one loop, or of a routine with jumps, until its states stay. What a loop sets becomes unknown in one walk, what is
 computed from it in the next; after these all that is set there is taken as unknown."""
 
@@ -42,7 +42,7 @@ EVERYTHING = ("*", None)
 """The key of all that a state holds."""
 
 
-class TooLong(Exception):
+class TooManyWays(Exception):
     """The program has more ways than can be walked: nothing of it is understood."""
 
 
@@ -79,7 +79,7 @@ class _Shared:
         self.noted: dict[tuple[str, Hashable], None] | None = None
 
 
-class State:
+class ProgramState:
     """What is certain at one place of a program: values by family and member, ``("base", None)`` or ``("point", "p1")``.
 
     A state may lie over another one, as what a branch has changed; below it all is as before.
@@ -88,7 +88,7 @@ class State:
         parent: The state below.
     """
 
-    def __init__(self, parent: State | None = None) -> None:
+    def __init__(self, parent: ProgramState | None = None) -> None:
         self._parent = parent
         self._shared: _Shared = parent._shared if parent is not None else _Shared()
         self._own: dict[str, dict[Hashable, object]] = {}
@@ -106,7 +106,7 @@ class State:
             for key in ((family, member), (family, None), EVERYTHING):
                 if key in self._shared.volatile:
                     return self._shared.volatile[key]
-        level: State | None = self
+        level: ProgramState | None = self
         while level is not None:
             values = level._own.get(family)
             if values is not None and member in values:
@@ -168,7 +168,7 @@ class State:
         keys += [(family, None) for family in self._families]
         return [*keys, *((family, member) for family, values in self._own.items() for member in values)]
 
-    def _tells_more(self, head: State) -> bool:
+    def _tells_more(self, head: ProgramState) -> bool:
         """Whether this state is certain of what an overlay of it, the head of a loop, is not."""
         wiped = (
             head._families if head._cleared is None else dict.fromkeys({*self._own, *self._families, *head._families})
@@ -181,7 +181,7 @@ class State:
         theirs = ((family, member) for family, values in head._own.items() for member in values)
         return any(self.get(*key) != head.get(*key) for key in (*mine, *theirs))
 
-    def _absorb(self, child: State) -> None:
+    def _absorb(self, child: ProgramState) -> None:
         """Take over all that an overlay has changed."""
         if child._cleared is not None:
             self._own, self._families, self._cleared = {}, {}, child._cleared
@@ -191,7 +191,7 @@ class State:
         for family, values in child._own.items():
             self._own.setdefault(family, {}).update(values)
 
-    def join(self, ways: Sequence[State]) -> None:
+    def join(self, ways: Sequence[ProgramState]) -> None:
         """Go on where several ways meet, each an overlay of this state: what differs between them is unknown."""
         if len(ways) == 1:
             self._absorb(ways[0])
@@ -208,29 +208,29 @@ class State:
         for (family, member), value in values.items():
             self.set(family, member, value)
 
-    def copy_over(self, boundary: State) -> State:
+    def copy_over(self, boundary: ProgramState) -> ProgramState:
         """This state as a single overlay of one that lies below it."""
-        levels: list[State] = []
-        level: State = self
+        levels: list[ProgramState] = []
+        level: ProgramState = self
         while level is not boundary:
             levels.append(level)
             assert level._parent is not None
             level = level._parent
-        copy = State(boundary)
+        copy = ProgramState(boundary)
         for level in reversed(levels):
             copy._absorb(level)
         return copy
 
-    def same_as(self, other: State) -> bool:
+    def same_as(self, other: ProgramState) -> bool:
         """Whether two overlays of one state say the same."""
         mine = (self._cleared, self._families, self._own)
         return mine == (other._cleared, other._families, other._own)
 
-    def become(self, other: State) -> None:
+    def become(self, other: ProgramState) -> None:
         """Say what another overlay of the same state says."""
         self._own, self._families, self._cleared = other._own, other._families, other._cleared
 
-    def lies_on(self, other: State) -> bool:
+    def lies_on(self, other: ProgramState) -> bool:
         """Whether this is an overlay of another state."""
         return self._parent is other
 
@@ -331,16 +331,16 @@ Body = Sequence[Node]
 class Semantics(Protocol):
     """What the statements of a language do."""
 
-    def step(self, what: object, state: State) -> None:
+    def step(self, what: object, state: ProgramState) -> None:
         """Carry out the statement of a :class:`Step`."""
 
-    def enter(self, what: object, name: str, state: State) -> None:
+    def enter(self, what: object, name: str, state: ProgramState) -> None:
         """Set parameters and locals of a routine that is called by a statement, in an overlay of the caller's state."""
 
-    def leave(self, what: object, name: str, state: State) -> None:
+    def leave(self, what: object, name: str, state: ProgramState) -> None:
         """Drop what ends with the routine, and set in the caller what it gives back."""
 
-    def absent(self, what: object, name: str, state: State) -> None:
+    def absent(self, what: object, name: str, state: ProgramState) -> None:
         """A routine is called that is in no file that was given."""
 
 
@@ -357,11 +357,11 @@ class _Ways:
         forget: Why all that the routine sets is unknown at its marks; empty where jumps are kept apart.
     """
 
-    routine: State
-    returns: list[State] = field(default_factory=list)
-    loop: State | None = None
-    turns: list[State] = field(default_factory=list)
-    jumps: dict[str, list[State]] = field(default_factory=dict)
+    routine: ProgramState
+    returns: list[ProgramState] = field(default_factory=list)
+    loop: ProgramState | None = None
+    turns: list[ProgramState] = field(default_factory=list)
+    jumps: dict[str, list[ProgramState]] = field(default_factory=dict)
     forget: str = ""
 
 
@@ -383,7 +383,7 @@ class Walk:
         self._cyclic = _cyclic(routines)
         self._written: dict[str, list[tuple[str, Hashable]]] = {}
 
-    def enter(self, name: str, state: State) -> None:
+    def enter(self, name: str, state: ProgramState) -> None:
         """Walk a routine as the program begins there.
 
         Raises:
@@ -391,28 +391,28 @@ class Walk:
         """
         self._call(Call(name, None), state)
 
-    def writes(self, name: str, state: State) -> list[tuple[str, Hashable]]:
+    def writes(self, name: str, state: ProgramState) -> list[tuple[str, Hashable]]:
         """What a routine sets when it is called in a state, which stays as it is: of an interrupt, for instance.
 
         All counts that is set on any way, also where the routine never comes to its end.
         """
         return self._set_within(state, lambda overlay: self._call(Call(name, None), overlay))
 
-    def _set_within(self, state: State, walk: Callable[[State], object]) -> list[tuple[str, Hashable]]:
+    def _set_within(self, state: ProgramState, walk: Callable[[ProgramState], object]) -> list[tuple[str, Hashable]]:
         """What a walk sets, tried in an overlay of a state."""
         with self._trial(state), state.noted() as keys:
-            walk(State(state))
+            walk(ProgramState(state))
         return list(keys)
 
     @contextmanager
-    def _trial(self, state: State) -> Iterator[None]:
+    def _trial(self, state: ProgramState) -> Iterator[None]:
         state._shared.trials += 1
         try:
             yield
         finally:
             state._shared.trials -= 1
 
-    def _call(self, call: Call, state: State) -> bool:
+    def _call(self, call: Call, state: ProgramState) -> bool:
         body = self._routines.get(call.name)
         if body is None:
             self._semantics.absent(call.what, call.name, state)
@@ -421,15 +421,15 @@ class Walk:
             self._forget_written(call.name, state)
             return True
         if len(self._stack) >= DEEPEST:
-            raise TooLong
+            raise TooManyWays
         self.reached.add(call.name)
         self._stack.append(call.name)
-        own = State(state)
+        own = ProgramState(state)
         if call.name in self._cyclic:  # it may also be entered from within itself, in any state that it makes
             self._find_written(call, body, state)
             self._forget_written(call.name, own)
         self._semantics.enter(call.what, call.name, own)
-        entered = State(own)
+        entered = ProgramState(own)
         exits = self._routine(body, entered, self._marked[call.name])
         if exits:
             own.join(exits)
@@ -438,19 +438,19 @@ class Walk:
         self._stack.pop()
         return bool(exits)
 
-    def _find_written(self, call: Call, body: Body, state: State) -> None:
+    def _find_written(self, call: Call, body: Body, state: ProgramState) -> None:
         """Find what a routine that calls itself sets: within that trial the call of itself does nothing of its own."""
         if call.name in self._written:
             return
         self._written[call.name] = []
 
-        def inside(own: State) -> None:
+        def inside(own: ProgramState) -> None:
             self._semantics.enter(call.what, call.name, own)
-            self._routine(body, State(own), self._marked[call.name])
+            self._routine(body, ProgramState(own), self._marked[call.name])
 
         self._written[call.name] = self._set_within(state, inside)
 
-    def _forget_written(self, name: str, state: State) -> None:
+    def _forget_written(self, name: str, state: ProgramState) -> None:
         """What a routine that calls itself sets is unknown in it, and behind its call of itself."""
         why = f"{name} calls itself"
         for family, member in self._written.get(name, [EVERYTHING]):
@@ -461,11 +461,11 @@ class Walk:
             else:
                 state.forget(family, member, why)
 
-    def _routine(self, body: Body, entered: State, marked: bool) -> list[State]:
+    def _routine(self, body: Body, entered: ProgramState, marked: bool) -> list[ProgramState]:
         """States in which a routine is left, overlays of the one below the entered; none if it never ends."""
         below = entered._parent
         assert below is not None
-        jumps: dict[str, list[State]] = {}
+        jumps: dict[str, list[ProgramState]] = {}
         if marked:
             with self._trial(entered):
                 jumps, forget = self._settled(body, below)
@@ -475,12 +475,12 @@ class Walk:
         falls = self._run(body, entered, ways)
         return [*ways.returns, *([entered] if falls else [])]
 
-    def _settled(self, body: Body, below: State) -> tuple[dict[str, list[State]], str]:
+    def _settled(self, body: Body, below: ProgramState) -> tuple[dict[str, list[ProgramState]], str]:
         """States of the jumps of a routine, and why they are not kept apart."""
-        jumps: dict[str, list[State]] = {}
-        for _ in range(PASSES):
+        jumps: dict[str, list[ProgramState]] = {}
+        for _ in range(MOST_LOOP_WALKS):
             ways = _Ways(below, jumps={label: list(states) for label, states in jumps.items()})
-            self._run(body, State(below), ways)
+            self._run(body, ProgramState(below), ways)
             if sum(len(states) for states in ways.jumps.values()) > JUMPS:
                 break
             merged = {label: [_merged(states, below)] for label, states in ways.jumps.items()}
@@ -489,7 +489,7 @@ class Walk:
             jumps = merged
         return {}, TO_AND_FRO
 
-    def _run(self, body: Body, state: State, ways: _Ways) -> bool:
+    def _run(self, body: Body, state: ProgramState, ways: _Ways) -> bool:
         """Walk a body; returns whether the program comes to its end."""
         live = True
         for node in body:
@@ -497,7 +497,7 @@ class Walk:
                 continue
             self._left -= 1
             if self._left < 0:
-                raise TooLong
+                raise TooManyWays
             if isinstance(node, Mark):
                 live = self._mark(node, state, ways, live)
             elif not live:  # a jump into the middle of something
@@ -507,7 +507,7 @@ class Walk:
                 live = self._node(node, state, ways)
         return live
 
-    def _node(self, node: Node, state: State, ways: _Ways) -> bool:
+    def _node(self, node: Node, state: ProgramState, ways: _Ways) -> bool:
         if isinstance(node, Step):
             self._semantics.step(node.what, state)
             return True
@@ -525,7 +525,7 @@ class Walk:
             ways.returns.append(state.copy_over(ways.routine))
         return False
 
-    def _mark(self, mark: Mark, state: State, ways: _Ways, live: bool) -> bool:
+    def _mark(self, mark: Mark, state: ProgramState, ways: _Ways, live: bool) -> bool:
         if ways.forget or not state.lies_on(ways.routine):  # a jump into the middle of a branch or a loop
             state.forget_all(ways.forget or TO_AND_FRO)
             return True
@@ -536,22 +536,22 @@ class Walk:
             state.become(_merged(arrivals, ways.routine))
         return bool(arrivals)
 
-    def _choice(self, choice: Choice, state: State, ways: _Ways) -> bool:
+    def _choice(self, choice: Choice, state: ProgramState, ways: _Ways) -> bool:
         ends = []
         for body in choice.ways:
-            way = State(state)
+            way = ProgramState(state)
             if self._run(body, way, ways):
                 ends.append(way)
         if ends:
             state.join(ends)
         return bool(ends)
 
-    def _repeat(self, loop: Repeat, state: State, ways: _Ways) -> bool:
+    def _repeat(self, loop: Repeat, state: ProgramState, ways: _Ways) -> bool:
         """The state at the head of a loop is that of its first turn joined with those of all later ones."""
         with self._trial(state):
-            for _ in range(PASSES):
-                head = State(state)
-                head.join([State(state), *self._turn(loop, state, ways)])
+            for _ in range(MOST_LOOP_WALKS):
+                head = ProgramState(state)
+                head.join([ProgramState(state), *self._turn(loop, state, ways)])
                 if not state._tells_more(head):
                     break
                 state._absorb(head)
@@ -559,21 +559,21 @@ class Walk:
                 state.forget_all("a loop changes it with every turn")
         ends = self._turn(loop, state, ways)
         if not loop.once:
-            ends.append(State(state))
+            ends.append(ProgramState(state))
         if ends:
             state.join(ends)
         return bool(ends)
 
-    def _turn(self, loop: Repeat, state: State, ways: _Ways) -> list[State]:
+    def _turn(self, loop: Repeat, state: ProgramState, ways: _Ways) -> list[ProgramState]:
         """States after one turn of a loop, overlays of that at its head."""
         inner = _Ways(ways.routine, ways.returns, state, [], ways.jumps, ways.forget)
-        end = State(state)
+        end = ProgramState(state)
         falls = self._run(loop.body, end, inner)
         return [*inner.turns, *([end] if falls else [])]
 
 
-def _merged(states: Sequence[State], below: State) -> State:
-    joined = State(below)
+def _merged(states: Sequence[ProgramState], below: ProgramState) -> ProgramState:
+    joined = ProgramState(below)
     joined.join(states)
     return joined
 

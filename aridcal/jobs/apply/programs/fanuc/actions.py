@@ -79,7 +79,7 @@ def actions(body: Body) -> Iterator[Action]:
             yield from actions(node.body)
 
 
-def own_group(index: str) -> str | None:
+def robot_group(index: str) -> str | None:
     """What stands in brackets without group 1; None where it is of another group."""
     return index.removeprefix("GP1:") if not index.startswith("GP") or index.startswith("GP1:") else None
 

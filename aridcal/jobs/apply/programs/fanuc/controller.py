@@ -28,7 +28,7 @@ KINDS = {"FRAME": "frame", "User": "frame", "TOOL": "tool", "Tool": "tool"}
 
 
 @dataclass(frozen=True)
-class Frames:
+class ControllerFrames:
     """Frames of a controller by number, T of shape (4, 4), [m].
 
     Attributes:
@@ -40,7 +40,7 @@ class Frames:
     tools: Mapping[int, np.ndarray] = field(default_factory=dict)
 
 
-def read_frames_of_controller(text: str) -> Frames:
+def read_frames_of_controller(text: str) -> ControllerFrames:
     """Frames of group 1 in a listing; none in a file of something else."""
     tables: dict[str, dict[int, np.ndarray]] = {"frame": {}, "tool": {}}
     for table in VARIABLE.finditer(text):
@@ -52,7 +52,7 @@ def read_frames_of_controller(text: str) -> Frames:
             for n, row in enumerate(rows, start=1):
                 assert row is not None
                 tables[KINDS[section.group(1)]].setdefault(n, _frame(row.groups()))
-    return Frames(tables["frame"], tables["tool"])
+    return ControllerFrames(tables["frame"], tables["tool"])
 
 
 def _frame(numbers: tuple[str, ...]) -> np.ndarray:

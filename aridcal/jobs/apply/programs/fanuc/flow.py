@@ -6,11 +6,23 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from aridcal.jobs.apply.programs.fanuc.actions import Action, Fields, Options, Place, own_group, short
+from aridcal.jobs.apply.programs.fanuc.actions import Action, Fields, Options, Place, robot_group, short
 from aridcal.jobs.apply.programs.fanuc.listing import SHOWN, Instruction, Listing, plain
 from aridcal.jobs.apply.programs.fanuc.table import CHANGES, HARMLESS, INDEX, MODES, MOVE, OPTIONS, PLACE, Option
 from aridcal.jobs.apply.programs.uses import ANY
-from aridcal.jobs.apply.programs.walk import DEEPEST, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step, TooLong
+from aridcal.jobs.apply.programs.walk import (
+    DEEPEST,
+    Body,
+    Call,
+    Choice,
+    Jump,
+    Leave,
+    Mark,
+    Node,
+    Repeat,
+    Step,
+    TooManyWays,
+)
 
 
 @dataclass
@@ -138,7 +150,7 @@ class _Reader:
         label = LABEL.fullmatch(text)
         if BLOCK.fullmatch(text) is not None:
             if len(self._blocks) > DEEPEST:
-                raise TooLong
+                raise TooManyWays
             self._blocks.append(_Block("IF" if text.startswith("IF") else "LOOP", start))
             if sum(block.kind == "LOOP" for block in self._blocks) > LOOPS:
                 self._come_into()
@@ -227,8 +239,8 @@ class _Reader:
 
     def _branch_of_select(self, text: str, instruction: Instruction) -> bool:
         """Whether an instruction is a branch of a SELECT."""
-        opened = bool(self._choice)
-        if text.startswith("SELECT ") or (opened and text.startswith(("=", "ELSE,"))):
+        is_open = bool(self._choice)
+        if text.startswith("SELECT ") or (is_open and text.startswith(("=", "ELSE,"))):
             if text.startswith("SELECT "):
                 self._end_select()
             self._choice.append(self._conditional(text, instruction))
@@ -291,7 +303,7 @@ class _Reader:
             if match is not None:
                 fields = _fields(match)
                 if does in ("frame", "tool"):
-                    index = own_group(match.group("index"))
+                    index = robot_group(match.group("index"))
                     if index is None:
                         return None
                     self.flow.writes.append((does, int(index) if short(index) else ANY, start))
@@ -337,8 +349,10 @@ class _Reader:
         for match in POINT.finditer(text):
             index = match.group(1).split(",")[0]
             point = int(index) if short(index) else ANY
-            written = match.start() == 0 and text[match.end() : match.end() + 1] == "="
-            self.flow.uses.append((point, start, "sets it anew" if written else "takes its numbers for something else"))
+            is_assigned = match.start() == 0 and text[match.end() : match.end() + 1] == "="
+            self.flow.uses.append(
+                (point, start, "sets it anew" if is_assigned else "takes its numbers for something else")
+            )
 
 
 def read_flow(program: int, listing: Listing) -> Flow:

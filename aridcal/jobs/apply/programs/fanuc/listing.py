@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from aridcal.jobs.apply.programs.fanuc.table import HEADERS
-from aridcal.jobs.apply.programs.text import LARGEST, NONE, NUMBER, Code, Number, Numbers
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NONE, NUMBER, Code, Number, Numbers
 
 SECTION = re.compile(r"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))[ \t]*/(PROG|ATTR|APPL|MN|POS|END)\b")
 
@@ -311,7 +311,11 @@ def _fault(names: Sequence[str], numbers: Sequence[Number], units: Sequence[str]
 
 def _beyond(texts: Sequence[str]) -> str:
     """Why a number is none of a place; empty if all are."""
-    return "has a number that no arm can reach" if max(map(abs, map(float, texts)), default=0.0) > LARGEST else ""
+    return (
+        "has a number that no arm can reach"
+        if max(map(abs, map(float, texts)), default=0.0) > LARGEST_IN_PROGRAM
+        else ""
+    )
 
 
 @lru_cache(maxsize=64)

@@ -9,25 +9,24 @@ from functools import lru_cache
 import numpy as np
 
 from aridcal.jobs.apply.programs.cell import Cell
-from aridcal.jobs.apply.programs.fanuc.actions import Action, Place, own_group, short
+from aridcal.jobs.apply.programs.fanuc.actions import Action, Place, robot_group, short
 from aridcal.jobs.apply.programs.fanuc.flow import Flow
 from aridcal.jobs.apply.programs.fanuc.listing import SHOWN, Listing, Point
 from aridcal.jobs.apply.programs.fanuc.points import Targets
 from aridcal.jobs.apply.programs.fanuc.registers import PLAIN, REGISTER, Register, number_of, sum_of
-from aridcal.jobs.apply.programs.frames import absent, unknown
+from aridcal.jobs.apply.programs.frames import absent, unknown_frame
 from aridcal.jobs.apply.programs.postures import fanuc_words
-from aridcal.jobs.apply.programs.targets import Place as TargetPlace
-from aridcal.jobs.apply.programs.targets import Target, Words
+from aridcal.jobs.apply.programs.targets import PoseReference, Target, Words
 from aridcal.jobs.apply.programs.text import NONE, Code
 from aridcal.jobs.apply.programs.uses import ANY, HERE, Frame, Ledger, Use, line_name
-from aridcal.jobs.apply.programs.walk import NEVER_SET, State, Unknown
+from aridcal.jobs.apply.programs.walk import NEVER_SET, ProgramState, Unknown
 from aridcal.system.errors import printable
 
 STANCE = "it is not known where the arm comes from, and CONFIG does not say how it stands: state --start J1,J2,..."
 
 
 @dataclass(frozen=True)
-class Active:
+class ActiveFrame:
     """The number of a frame or tool that an instruction has made the active one.
 
     Attributes:
@@ -53,7 +52,7 @@ class Mode:
 
 
 @dataclass(frozen=True)
-class Given:
+class StatedFrames:
     """Frames that are stated for a project.
 
     Attributes:
@@ -91,7 +90,7 @@ class Meaning:
         codes: tuple[Code, ...],
         ours: Mapping[int, bool],
         spoken: frozenset[int],
-        given: Given,
+        given: StatedFrames,
         cell: Cell,
     ) -> None:
         self.ledger: Ledger[tuple[Code, Point]] = Ledger()
@@ -131,7 +130,7 @@ class Meaning:
         """All targets, when the walk is over."""
         return self.ledger.targets(self._target)
 
-    def _target(self, what: tuple[Code, Point], use: Use, beside: tuple[TargetPlace, ...]) -> Target:
+    def _target(self, what: tuple[Code, Point], use: Use, beside: tuple[PoseReference, ...]) -> Target:
         code, point = what
         return self._targets.target(code, point, self._words[code.file, point.start], use, beside)
 
@@ -143,15 +142,15 @@ class Meaning:
 
     # the state
 
-    def begin(self, state: State, written: Mapping[str, Mapping[int, str]]) -> None:
-        """The state in which a program is started; ``written``: frames and tools that some given program sets, and where."""
+    def begin(self, state: ProgramState, frame_texts: Mapping[str, Mapping[int, str]]) -> None:
+        """The state in which a program is started; ``frame_texts``: frames and tools that some given program sets, and where."""
         for family, stated in (("frame", self._given.frames), ("tool", self._given.tools)):
-            if -1 in written[family]:
-                state.forget_family(family, written[family][-1])
+            if -1 in frame_texts[family]:
+                state.forget_family(family, frame_texts[family][-1])
                 continue
             for number, value in stated.items():
                 state.set(family, number, value)
-            for number, why in written[family].items():
+            for number, why in frame_texts[family].items():
                 state.forget(family, number, why)
         state.set("points", None, True)
         state.set("modes", None, ())
@@ -164,7 +163,7 @@ class Meaning:
         """How messages name the line of an instruction."""
         return line_name(self._codes, self._listings[program].code, start)
 
-    def step(self, what: object, state: State) -> None:
+    def step(self, what: object, state: ProgramState) -> None:
         """Carry out an instruction."""
         assert isinstance(what, Action)
         if what.does == "move":
@@ -201,34 +200,34 @@ class Meaning:
                     f"{line} is not understood, and may change frames and points: {printable(name[:SHOWN])}"
                 )
 
-    def enter(self, what: object, name: str, state: State) -> None:
+    def enter(self, what: object, name: str, state: ProgramState) -> None:
         """Offsets of a caller may not hold in what it calls."""
         for offset in ("offset", "tool offset"):
             state.forget(offset, None, f"the program that calls {name} sets it, or none")
 
-    def leave(self, what: object, name: str, state: State) -> None:
+    def leave(self, what: object, name: str, state: ProgramState) -> None:
         """Nor those of what it calls in the caller."""
         for offset in ("offset", "tool offset"):
             state.forget(offset, None, f"{name} may set it")
 
-    def absent(self, what: object, name: str, state: State) -> None:
+    def absent(self, what: object, name: str, state: ProgramState) -> None:
         """A program is called that no file has."""
         if name.lower() not in self._cell.frames.harmless:
             state.forget_all(absent(name))
 
-    def _number(self, what: Action, state: State) -> None:
+    def _number(self, what: Action, state: ProgramState) -> None:
         groups = what.field("groups")
         if groups and "GP1" not in groups:
             return
         number = _plain_number(what.field("value"))
         if number is not None:
-            state.set(what.does, None, Active(number, what))
+            state.set(what.does, None, ActiveFrame(number, what))
         else:
             line = self.line(what.program, what.start)
             state.forget(what.does, None, f"{line} takes it from {what.field('value')[:SHOWN]}")
 
-    def _frame(self, what: Action, state: State, line: str) -> None:
-        index, source = own_group(what.field("index")) or "", REGISTER.fullmatch(what.field("value"))
+    def _frame(self, what: Action, state: ProgramState, line: str) -> None:
+        index, source = robot_group(what.field("index")) or "", REGISTER.fullmatch(what.field("value"))
         if not short(index):
             state.forget_family(what.does, f"{line} sets a user {what.does} whose number is worked out")
             return
@@ -246,8 +245,8 @@ class Meaning:
         flange = self._given.tools.get(0, HERE)
         return flange if isinstance(flange, Frame) else HERE
 
-    def _register(self, what: Action, state: State, line: str) -> None:
-        index = own_group(what.field("index"))
+    def _register(self, what: Action, state: ProgramState, line: str) -> None:
+        index = robot_group(what.field("index"))
         if index is None:
             return
         number, _, element = index.partition(",")
@@ -272,7 +271,7 @@ class Meaning:
 
     # moves
 
-    def _go(self, what: Action, place: Place, state: State) -> None:
+    def _go(self, what: Action, place: Place, state: ProgramState) -> None:
         listing = self._listings[what.program]
         point = listing.points.get(place.point) if place.point is not None else None
         if point is None:
@@ -302,7 +301,7 @@ class Meaning:
         name = f"{place.kind}[{place.index[:SHOWN]}]"
         self.ledger.leave(Target(listing.code.line(what.start), name, "pose", NONE, why, file=listing.code.file))
 
-    def _use(self, what: Action, point: Point, state: State) -> Use:
+    def _use(self, what: Action, point: Point, state: ProgramState) -> Use:
         line = self.line(what.program, what.start)
         points = state.get("points")
         why = points.why if isinstance(points, Unknown) else ""
@@ -338,7 +337,7 @@ class Meaning:
         strange = stance.why if isinstance(stance, Unknown) and not settled else ""
         return Use(line, base, tool, aside, why, None, strange)
 
-    def _shifted_joints(self, what: Action, state: State, line: str) -> str:
+    def _shifted_joints(self, what: Action, state: ProgramState, line: str) -> str:
         for option, _ in what.options:
             if option.does in ("offset", "tool offset"):
                 shift = self._shift(what, option.does, state)
@@ -346,19 +345,19 @@ class Meaning:
                     return f"{line} shifts joints by a way"
         return ""
 
-    def _shift(self, what: Action, does: str, state: State) -> np.ndarray | None:
+    def _shift(self, what: Action, does: str, state: ProgramState) -> np.ndarray | None:
         """The way by which a move goes aside, [m]; None where it is not certain."""
-        named = next(dict(fields).get("register") for option, fields in what.options if option.does == does)
-        if named is None:
+        index = next(dict(fields).get("register") for option, fields in what.options if option.does == does)
+        if index is None:
             condition = state.get(does)
             if not isinstance(condition, tuple):
                 return None
             register = condition[1] if condition[1] == state.get("register", condition[0]) else None
         else:
-            register = state.get("register", int(named)) if short(named) else None
+            register = state.get("register", int(index)) if short(index) else None
         return register.shift if isinstance(register, Register) else None
 
-    def _base(self, point: Point, state: State, line: str) -> object:
+    def _base(self, point: Point, state: ProgramState, line: str) -> object:
         number = self._agreed("frame number", "user frame", point.user, state, line)
         if isinstance(number, Unknown):
             return number
@@ -366,9 +365,9 @@ class Meaning:
             self.assumed.add("world")
             return self._given.world
         value = state.get("frame", int(number))
-        return Unknown(unknown("user frame", number)) if value is NEVER_SET else value
+        return Unknown(unknown_frame("user frame", number)) if value is NEVER_SET else value
 
-    def _tool(self, point: Point, state: State, line: str) -> object:
+    def _tool(self, point: Point, state: ProgramState, line: str) -> object:
         number = self._agreed("tool number", "user tool", point.tool, state, line)
         if isinstance(number, Unknown):
             return number
@@ -376,22 +375,22 @@ class Meaning:
             self.assumed.add("flange")
             return self._flange
         value = state.get("tool", int(number))
-        return Unknown(unknown("user tool", number)) if value is NEVER_SET else value
+        return Unknown(unknown_frame("user tool", number)) if value is NEVER_SET else value
 
-    def _agreed(self, family: str, kind: str, own: str, state: State, line: str) -> str | Unknown:
+    def _agreed(self, family: str, kind: str, own: str, state: ProgramState, line: str) -> str | Unknown:
         """The number of a point's frame or tool, which must be the active one: else the controller stops there.
 
         Where no instruction has set one the point's own number is believed, as programs are taught with the active one.
         """
         active = state.get(family)
         if own == "F":
-            if isinstance(active, Active):
+            if isinstance(active, ActiveFrame):
                 return active.number
             assert isinstance(active, Unknown)
             return Unknown(f"its {kind} is the active one of {line}, and {active.why}")
         if not own.isdecimal():
             return Unknown(f"its {kind} {own} is no number")
-        if isinstance(active, Active) and active.number != own:
+        if isinstance(active, ActiveFrame) and active.number != own:
             before = self.line(active.by.program, active.by.start)
             return Unknown(f"is in {kind} {own}, but {before} has set {active.number}: the controller stops at {line}")
         if isinstance(active, Unknown) and active is not NEVER_SET:

@@ -7,7 +7,7 @@ import numpy as np
 from aridcal.jobs.apply.programs.axes import DEGREE, MILLIMETRE, Axes
 from aridcal.jobs.apply.programs.fanuc.listing import POSE, Point
 from aridcal.jobs.apply.programs.notations import FANUC
-from aridcal.jobs.apply.programs.targets import Branch, Place, Target, Words
+from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target, Words
 from aridcal.jobs.apply.programs.text import NONE, Code, Numbers
 from aridcal.jobs.apply.programs.uses import Use
 
@@ -36,20 +36,22 @@ class Targets:
         """Why a point does not fit the robot's axes."""
         if point.names == POSE:
             return ""
-        named = [name for name in point.names if name not in POSE]
+        other_names = [name for name in point.names if name not in POSE]
         axes = self._arm | self._external
-        for name in named:
+        for name in other_names:
             if name not in axes:
                 return f"has an axis {name} that the robot of the calibration has not"
             slides = self._axes.kinds[axes[name]] == "prismatic"
             unit = point.units[point.names.index(name)]
             if (unit == "MM") != slides:
                 return f"has {name} in {unit.lower()}, but that axis {'slides' if slides else 'turns'}"
-        if point.joints and not set(self._arm) <= set(named):
+        if point.joints and not set(self._arm) <= set(other_names):
             return "does not state all joints of the arm"
         return COUPLED if point.joints and self._coupled else ""
 
-    def target(self, code: Code, point: Point, words: Words | None, use: Use, beside: tuple[Place, ...]) -> Target:
+    def target(
+        self, code: Code, point: Point, words: Words | None, use: Use, beside: tuple[PoseReference, ...]
+    ) -> Target:
         """The target of a point that a program uses.
 
         Args:
@@ -62,9 +64,9 @@ class Targets:
         line, name = code.line(point.start), f"P[{point.number}]"
         if point.joints:
             axes = self._arm | self._external
-            named = [axis for axis in axes if axis in point.names] if not point.why else []
-            units = self._axes.units([axes[axis] for axis in named], DEGREE, MILLIMETRE)
-            turned = tuple(point.field(axis) for axis in named)
+            external_names = [axis for axis in axes if axis in point.names] if not point.why else []
+            units = self._axes.units([axes[axis] for axis in external_names], DEGREE, MILLIMETRE)
+            turned = tuple(point.field(axis) for axis in external_names)
             readings = self._axes.readings(turned, units)
             return Target(line, name, "joints", Numbers(turned), "", readings, units, digits=3, file=code.file)
         plain = not point.why
@@ -78,7 +80,7 @@ class Targets:
         own = {axis: k for axis, k in self._external.items() if axis in point.names}
         if not own:
             return None
-        held = np.full(len(self._axes.kinds), np.nan)
+        readings = np.full(len(self._axes.kinds), np.nan)
         for axis, k in own.items():
-            held[k] = self._axes.unit(k, DEGREE, MILLIMETRE) * point.field(axis).value
-        return held
+            readings[k] = self._axes.unit(k, DEGREE, MILLIMETRE) * point.field(axis).value
+        return readings

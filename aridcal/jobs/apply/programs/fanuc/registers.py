@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.jobs.apply.programs.notations import FANUC, MILLI
-from aridcal.jobs.apply.programs.text import LARGEST
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM
 from aridcal.jobs.apply.programs.uses import Frame
-from aridcal.jobs.apply.programs.walk import State
+from aridcal.jobs.apply.programs.walk import ProgramState
 
 ELEMENT = re.compile(r"PR\[(\d{1,9}),([1-6])\]")
 
@@ -46,7 +46,7 @@ class Register:
         return MILLI * np.array([x, y, z])
 
 
-def sum_of(text: str, state: State) -> Register | None:
+def sum_of(text: str, state: ProgramState) -> Register | None:
     """A position register from registers that are added element by element; None where it may hold joints, or anything."""
     total: Register | None = None
     parts = list(TERMS.finditer(text))
@@ -74,7 +74,7 @@ def sum_of(text: str, state: State) -> Register | None:
     return total
 
 
-def number_of(text: str, state: State) -> float | None:
+def number_of(text: str, state: ProgramState) -> float | None:
     """A number that stands there, or an element of a register, or a sum of these; None where it is not certain."""
     whole = PLAIN.fullmatch(text)
     if whole is not None:
@@ -97,4 +97,4 @@ def number_of(text: str, state: State) -> float | None:
 
 
 def _bounded(value: float) -> float | None:
-    return value if abs(value) <= LARGEST else None
+    return value if abs(value) <= LARGEST_IN_PROGRAM else None

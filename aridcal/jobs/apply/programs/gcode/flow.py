@@ -127,10 +127,10 @@ class _File:
                 elif number in self._labels:
                     self._marked.add(number)
                     self._put(Mark(number))
-            for pattern, read in ((O_WORD, self._o_word), (MACRO, self._macro), (VARIABLE, self._variable)):
+            for pattern, reader in ((O_WORD, self._o_word), (MACRO, self._macro), (VARIABLE, self._variable)):
                 match = pattern.match(line.code)
                 if match is not None:
-                    read(line, match)
+                    reader(line, match)
                     return
         self._block(line)
 
@@ -188,8 +188,8 @@ class _File:
 
     def _o_word(self, line: Line, match: re.Match[str]) -> None:
         """``o100 sub``, ``o<name> call [1] [2]``, ``o110 if [...]`` and their like."""
-        number, named, word, _ = match.groups()
-        label, word = _program_name(number, named), word.lower()
+        number, name, word, _ = match.groups()
+        label, word = _program_name(number, name), word.lower()
         self._flush()
         top = self._open[-1]
         same = top.label == label
@@ -265,10 +265,10 @@ class _File:
 
     def _variable(self, line: Line, match: re.Match[str]) -> None:
         """``#100=...``: harmless for variables that are the user's."""
-        number, named = match.groups()
+        number, name = match.groups()
         if ANOTHER_WORD.search(line.code, match.end()) is not None:
             self._fault(line, "more than a value stands behind = here")
-        elif named is None and not any(low <= int(number[:9]) <= high for low, high in VARIABLES):
+        elif name is None and not any(low <= int(number[:9]) <= high for low, high in VARIABLES):
             self._fault(line, f"#{number} may be an offset of the controller")
 
     def _begin(self, line: Line, kind: str, label: str) -> None:
@@ -303,8 +303,8 @@ class _File:
                 self._flow.mains.append(routine.label)
 
 
-def _program_name(number: str | None, named: str | None) -> str:
-    return f"o{number.lstrip('0') or '0'}" if number is not None else (named or "").strip().lower()
+def _program_name(number: str | None, name: str | None) -> str:
+    return f"o{number.lstrip('0') or '0'}" if number is not None else (name or "").strip().lower()
 
 
 def _closed(code: str, place: int) -> int:

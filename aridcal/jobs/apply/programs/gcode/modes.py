@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from aridcal.jobs.apply.programs.frames import KnownFrames, absent, unknown
+from aridcal.jobs.apply.programs.frames import KnownFrames, absent, unknown_frame
 from aridcal.jobs.apply.programs.gcode.blocks import Block
 from aridcal.jobs.apply.programs.gcode.table import (
     ADDED_OFFSETS,
@@ -129,7 +129,7 @@ class Control:
     def _stated(self, kind: str, name: object, frames: Mapping[str, np.ndarray]) -> Frame | Unknown:
         T = frames.get(str(name).lower())
         if T is None:
-            return Unknown(unknown(kind, str(name)))
+            return Unknown(unknown_frame(kind, str(name)))
         if np.abs(T[:3, :3] - np.eye(3)).max() > UPRIGHT:
             return Unknown(f"{name} of --frames is turned (rpy): offsets of G-code only shift axes")
         return Frame(T)

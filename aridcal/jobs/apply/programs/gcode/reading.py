@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 from aridcal.jobs.apply.programs.axes import DEGREE
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import absent
 from aridcal.jobs.apply.programs.gcode.blocks import COMMENT, Block
 from aridcal.jobs.apply.programs.gcode.flow import Flow
 from aridcal.jobs.apply.programs.gcode.modes import MODES, UNDERSTOOD, Control, Modes, Zero
-from aridcal.jobs.apply.programs.gcode.record import AT_START, ELSEWHERE, Key, Move, Record, letters_of
+from aridcal.jobs.apply.programs.gcode.record import AT_START, ELSEWHERE, Key, Move, MoveRecord, letters_of
 from aridcal.jobs.apply.programs.gcode.table import (
     ARC,
     CALLS,
@@ -27,9 +27,9 @@ from aridcal.jobs.apply.programs.gcode.table import (
     TURNS,
 )
 from aridcal.jobs.apply.programs.project import Project
-from aridcal.jobs.apply.programs.text import LARGEST, Number
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, Number
 from aridcal.jobs.apply.programs.uses import HERE
-from aridcal.jobs.apply.programs.walk import State, TooLong, Unknown, Walk
+from aridcal.jobs.apply.programs.walk import ProgramState, TooManyWays, Unknown, Walk
 from aridcal.system.errors import AridcalError
 
 POINTED = re.compile(r"[XYZABCUVW][ \t]*+[-+]?[0-9]++\.(?![0-9])", re.IGNORECASE)
@@ -51,7 +51,7 @@ CHANGES = re.compile(rf"{CHANGE[0]}[ \t]*+0*+{CHANGE[1]}(?![0-9.])", re.IGNORECA
 Words = list[tuple[str, Number | None]]
 
 
-def read(project: Project, cell: Cell) -> Reading:
+def read(project: Project, cell: Cell) -> ProgramReading:
     """Targets of all straight moves, in the order in which the axes go there.
 
     A block that lacks the word of an axis leaves it where it is, so that only the words that stand there can be corrected; and
@@ -76,16 +76,16 @@ def read(project: Project, cell: Cell) -> Reading:
             walk.enter(main, reader.start(cell.start and main == flow.mains[0]))
         for name in flow.routines:
             if name not in walk.reached:
-                state = State()
+                state = ProgramState()
                 state.forget_all(f"{name} is called by no program of the given files: give that, too")
                 for k in range(len(cell.robot.kinds)):
                     state.set("last", k, ELSEWHERE)
                 walk.enter(name, state)
-    except TooLong:
+    except TooManyWays:
         flow.wild = flow.wild or "the program has more ways than can be followed"
     flow.routines.clear()
     del walk  # a long program's blocks are larger than its targets
-    return Reading(reader.record.targets(flow.wild), reader.notes())
+    return ProgramReading(reader.record.targets(flow.wild), reader.notes())
 
 
 @dataclass
@@ -123,20 +123,20 @@ class _Reader:
         self._whole = False
         self._machine = ""
         self._made_units: dict[tuple[tuple[int, ...], float], tuple[tuple[float, int], ...]] = {}
-        self.record = Record(project, len(self._kinds))
+        self.record = MoveRecord(project, len(self._kinds))
 
     @cached_property
     def _puts_in(self) -> bool:
         """Whether the programs have an instruction of its own that puts a tool in."""
         return any(CHANGES.search(COMMENT.sub("", source.text)) for source in self._project.sources)
 
-    def start(self, placed: bool) -> State:
+    def start(self, placed: bool) -> ProgramState:
         """All modes as a reset leaves them.
 
         Args:
             placed: Whether it is known where the axes are.
         """
-        state = State()
+        state = ProgramState()
         for mode, value in START.items():
             state.set(mode, None, value)
         state.set("motion", None, NOT_STATED)
@@ -146,13 +146,13 @@ class _Reader:
             state.set("last", k, AT_START)
         return state
 
-    def enter(self, what: object, name: str, state: State) -> None:
+    def enter(self, what: object, name: str, state: ProgramState) -> None:
         """Nothing: modes of the caller hold in what it calls."""
 
-    def leave(self, what: object, name: str, state: State) -> None:
+    def leave(self, what: object, name: str, state: ProgramState) -> None:
         """Nothing: modes hold on."""
 
-    def absent(self, what: object, name: str, state: State) -> None:
+    def absent(self, what: object, name: str, state: ProgramState) -> None:
         """Another program may do anything, unless the user says that it is harmless; the axes are elsewhere in any case."""
         assert isinstance(what, Block)
         if name not in self._cell.frames.harmless:
@@ -160,7 +160,7 @@ class _Reader:
         for k in range(len(self._kinds)):
             state.set("at", k, AWAY)
 
-    def step(self, what: object, state: State) -> None:
+    def step(self, what: object, state: ProgramState) -> None:
         """Carry out blocks one after the other."""
         assert isinstance(what, tuple)
         columns = range(len(self._kinds))
@@ -231,8 +231,8 @@ class _Reader:
         motion = now.modes["motion"]
         trouble = self._control.lost_to_machine(now.modes) if machine else now.trouble
         why = doubt or trouble or (motion.why if isinstance(motion, Unknown) else "")
-        known = not why
-        zero = (Zero() if machine else self._control.zero(now.modes)) if known else None
+        is_certain = not why
+        zero = (Zero() if machine else self._control.zero(now.modes)) if is_certain else None
         if motion == ARC:
             why = why or "is no straight move: arcs are left"
         if machine:
@@ -244,11 +244,11 @@ class _Reader:
                 why
                 or f"does not state {letters_of(missing, self._letters)}, and no plain move before says where that is"
             )
-        held = tuple([(k, place) for k, place in enumerate(now.at) if k not in axes and isinstance(place, tuple)])
+        unmoved = tuple([(k, place) for k, place in enumerate(now.at) if k not in axes and isinstance(place, tuple)])
         key: Key = (block.file, block.line)
         for k in axes:
             now.last[k] = key if not isinstance(now.modes["distance"], Unknown) else now.last[k]
-        if known:
+        if is_certain:
             for k in axes:
                 now.at[k] = key
         else:
@@ -268,7 +268,7 @@ class _Reader:
                 ]
             )
         base, tool = (zero.base, zero.tool) if zero is not None else (HERE, HERE)
-        self.record.add(Move(block, axes, readings, units, held, base, tool, why), self._line(block))
+        self.record.add(Move(block, axes, readings, units, unmoved, base, tool, why), self._line(block))
         if not why:
             self._remember(block, own)
 
@@ -338,7 +338,7 @@ def _doubt(own: Words, away: bool, late: bool, mixed: bool) -> str:
         return "has a code behind its axis words: controllers differ in what it holds for"
     for _, number in own:
         assert number is not None
-        if not abs(number.value) <= LARGEST:
+        if not abs(number.value) <= LARGEST_IN_PROGRAM:
             return f"{number.text} is no length of a gantry"
     return MIXED if mixed else ""
 

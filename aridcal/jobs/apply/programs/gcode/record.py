@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.jobs.apply.programs.gcode.blocks import Block
 from aridcal.jobs.apply.programs.gcode.table import INCH
 from aridcal.jobs.apply.programs.project import Project
-from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.targets import PoseReference, Target
 from aridcal.jobs.apply.programs.text import Numbers
 from aridcal.jobs.apply.programs.uses import Frame, Ledger, Use
 
@@ -61,7 +61,7 @@ class Move:
 
 
 @dataclass
-class Record:
+class MoveRecord:
     """All moves of a project.
 
     Attributes:
@@ -114,19 +114,19 @@ class Record:
 
     def _settled(self, target: Target, wild: str, last: dict[int, Key]) -> Target:
         move = self._moves.pop((target.file, target.line))
-        used = next((self._axes_used[k] for k in move.axes if k in self._axes_used), "")
+        user = next((self._axes_used[k] for k in move.axes if k in self._axes_used), "")
         stale = any(last[k] != source for k, source in move.held)
-        why = target.why or wild or used or (MET if stale or move.key in self._met else "")
-        known = bool(move.readings) and move.key not in self._met
-        for k in move.axes if known else range(self.columns):
-            last[k] = move.key if known else ELSEWHERE
+        why = target.why or wild or user or (MET if stale or move.key in self._met else "")
+        is_certain = bool(move.readings) and move.key not in self._met
+        for k in move.axes if is_certain else range(self.columns):
+            last[k] = move.key if is_certain else ELSEWHERE
         if not why:
             return target
-        if not known:
+        if not is_certain:
             return replace(target, why=why, readings=None, units=())
         return replace(target, why=why, readings=self._readings(move), units=move.units)
 
-    def _target(self, move: Move, use: Use, beside: Sequence[Place]) -> Target:
+    def _target(self, move: Move, use: Use, beside: Sequence[PoseReference]) -> Target:
         """The target of a block."""
         words = move.block.axes
         numbers = tuple(number for _, number in words if number is not None)

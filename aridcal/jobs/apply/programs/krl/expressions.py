@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from aridcal.jobs.apply.programs.krl.syntax import (
     Aggregate,
     Bits,
+    Computation,
     Expression,
     Function,
     Goal,
@@ -15,10 +16,9 @@ from aridcal.jobs.apply.programs.krl.syntax import (
     Text,
     Variable,
     Word,
-    Worked,
 )
 from aridcal.jobs.apply.programs.krl.table import POINTS
-from aridcal.jobs.apply.programs.krl.tokens import Misread, Token, fields
+from aridcal.jobs.apply.programs.krl.tokens import MalformedStatement, Token, fields
 from aridcal.jobs.apply.programs.text import Number
 
 DEEPEST = 40
@@ -83,7 +83,7 @@ class Line:
             Misread: it is another one.
         """
         if self.ended or (text and self.peek() != text):
-            raise Misread
+            raise MalformedStatement
         self._at += 1
         return self._line[self._at - 1]
 
@@ -101,7 +101,7 @@ class Line:
             Misread: something is.
         """
         if not self.ended:
-            raise Misread
+            raise MalformedStatement
 
     def rest(self) -> list[Token]:
         """All that is left, which is taken."""
@@ -119,12 +119,12 @@ class Line:
             operands.append(self._operand())
         if len(operands) == 1:
             return operands[0]
-        return Worked(tuple(operands)) if plain else Product(tuple(operands))
+        return Computation(tuple(operands)) if plain else Product(tuple(operands))
 
     def _operand(self) -> Expression:
         self._depth += 1
         if self._depth > DEEPEST:
-            raise Misread
+            raise MalformedStatement
         operand = self._read_operand()
         self._depth -= 1
         return operand
@@ -134,7 +134,7 @@ class Line:
         if token.text in _BEFORE:
             if token.text in "+-" and self.kind == "number" and self._line[self._at].start == token.end:
                 return self._number(token.start, self.take())
-            return Worked((self._operand(),))
+            return Computation((self._operand(),))
         if token.kind == "name":
             return self._named(token)
         if token.kind == "plain":
@@ -153,7 +153,7 @@ class Line:
             return inner
         if token.text == "{":
             return self._aggregate(token)
-        raise Misread
+        raise MalformedStatement
 
     def _number(self, start: int, token: Token) -> Number:
         return Number(start, self._text[start : token.end])
@@ -167,7 +167,7 @@ class Line:
             token = self.take()
             name = token.text
             if token.kind != "name" or name in values:
-                raise Misread
+                raise MalformedStatement
             if self.takes("["):
                 while not self.takes("]"):
                     self.take()
@@ -204,7 +204,7 @@ class Line:
             if self.takes("."):
                 part = self.take()
                 if part.kind != "name":
-                    raise Misread
+                    raise MalformedStatement
                 path.append(part.text)
                 end = part.end
                 continue

@@ -10,9 +10,9 @@ from aridcal.jobs.apply.programs.krl import table
 from aridcal.jobs.apply.programs.krl.expressions import Line
 from aridcal.jobs.apply.programs.krl.motions import MOVES, Motions
 from aridcal.jobs.apply.programs.krl.names import File, Names
-from aridcal.jobs.apply.programs.krl.noting import Said
-from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Assignment, Expression, Function, Variable, Worked
-from aridcal.jobs.apply.programs.krl.tokens import GIVEN, Misread, Token, fields
+from aridcal.jobs.apply.programs.krl.project_facts import ProjectFacts
+from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Assignment, Computation, Expression, Function, Variable
+from aridcal.jobs.apply.programs.krl.tokens import GIVEN, MalformedStatement, Token, fields
 from aridcal.jobs.apply.programs.walk import DEEPEST, Choice, Jump, Leave, Mark, Node, Repeat, Step
 
 _BODIES = {
@@ -30,7 +30,7 @@ _COPY = re.compile(r"[ \t]*+([a-z_$][\w$]*+)[ \t]*+=[ \t]*+([a-z_][\w$]*+)[ \t\r
 _ENDS = frozenset((*_BODIES.values(), "endspline", "else", "case", "default"))
 
 
-class Broken(Exception):
+class MalformedProgram(Exception):
     """A file is no program: blocks do not close, for instance."""
 
 
@@ -56,8 +56,8 @@ class _Block:
 class Reader(Motions):
     """Reads one file; see :class:`Notes`."""
 
-    def __init__(self, file: File, names: Names, said: Said) -> None:
-        super().__init__(file, names, said)
+    def __init__(self, file: File, names: Names, facts: ProjectFacts) -> None:
+        super().__init__(file, names, facts)
         self._blocks: list[_Block] = []
         self._labels: set[str] = set()
         self._gotos: list[tuple[str, int]] = []
@@ -85,7 +85,7 @@ class Reader(Motions):
                     self._initial(to, line)
                 else:
                     self._declaration(line, self._file.module, public)
-            except Misread:
+            except MalformedStatement:
                 self._unclear(start, end)
 
     def _given(self, match: re.Match[str], public: bool) -> None:
@@ -147,7 +147,7 @@ class Reader(Motions):
                 inside = False
                 continue
             if not inside:
-                raise Broken(start, "stands outside of DEF and END")
+                raise MalformedProgram(start, "stands outside of DEF and END")
             self._statement(start, end)
         if inside:
             self._end(len(self._text))
@@ -155,7 +155,7 @@ class Reader(Motions):
     def _head(self, match: re.Match[str]) -> Sequence[tuple[str, bool]]:
         key = f"{self._file.index}/{match.group('name')}"
         if key in self._said.bodies:
-            raise Broken(match.start(), "is the second routine of this name")
+            raise MalformedProgram(match.start(), "is the second routine of this name")
         head = self._names.routine(self._file, match.group("name"))
         return head.parameters if head is not None and head.key == key else ()
 
@@ -164,24 +164,24 @@ class Reader(Motions):
         self._blocks = [_Block("def", [[]])]
         self._labels, self._gotos = set(), []
         scope = f"{self._file.module}/{name}"
-        taken = []
+        branches = []
         for parameter, by_value in parameters:
             self._names.declare(scope, parameter, "", False)
-            taken.append((self._variable(parameter, 0), by_value))
-        self._said.parameters[f"{self._file.index}/{name}"] = taken
+            branches.append((self._variable(parameter, 0), by_value))
+        self._said.parameters[f"{self._file.index}/{name}"] = branches
 
     def _end(self, place: int) -> None:
         if len(self._blocks) != 1:
-            raise Broken(place, f"ends the routine before the end of {self._blocks[-1].word.upper()}")
+            raise MalformedProgram(place, f"ends the routine before the end of {self._blocks[-1].word.upper()}")
         for label, start in self._gotos:
             if label not in self._labels:
-                raise Broken(start, "jumps to a label that is not there")
+                raise MalformedProgram(start, "jumps to a label that is not there")
         self._said.bodies[f"{self._file.index}/{self._routine}"] = self._blocks[0].bodies[0]
 
     @property
     def _body(self) -> list[Node]:
         if not self._blocks[-1].bodies:
-            raise Broken(self._place, "stands before the first CASE")
+            raise MalformedProgram(self._place, "stands before the first CASE")
         return self._blocks[-1].bodies[-1]
 
     def _statement(self, start: int, end: int) -> None:
@@ -197,13 +197,13 @@ class Reader(Motions):
             line = self._line(start, end)
             if not line.ended:
                 self._read(line, start, end)
-        except Misread:
+        except MalformedStatement:
             self._body.append(Step(self._unclear(start, end)))
 
     def _read(self, line: Line, start: int, end: int) -> None:
         word, kind, following = line.peek(), line.kind, line.peek(1)
         if kind != "name":
-            raise Misread
+            raise MalformedStatement
         if following == "=" or (following in ("[", ".") and word not in MOVES):
             self._assigned(line)
         elif (
@@ -214,7 +214,7 @@ class Reader(Motions):
             call = line.expression()
             line.close()
             if not isinstance(call, Function):
-                raise Misread
+                raise MalformedStatement
             self._mentions(call, "passes it on")
             self._called(line)
         elif word in ("spline", "ptp_spline"):
@@ -236,7 +236,7 @@ class Reader(Motions):
         first = line.take()
         if word == "wait":
             if not (line.takes("for") or line.takes("sec")):
-                raise Misread
+                raise MalformedStatement
             self._mentions(line.expression(), "computes with it")
             line.close()
             self._called(line)
@@ -301,7 +301,7 @@ class Reader(Motions):
 
     def _open(self, block: _Block, place: int) -> None:
         if len(self._blocks) >= DEEPEST:
-            raise Broken(place, f"has more than {DEEPEST} blocks in each other")
+            raise MalformedProgram(place, f"has more than {DEEPEST} blocks in each other")
         self._blocks.append(block)
 
     def _block(self, line: Line, place: int) -> None:
@@ -338,7 +338,7 @@ class Reader(Motions):
             if line.takes("step"):
                 self._mentions(line.expression(), "computes with it")
             self._body.extend(self._calls(line))
-            step = Assignment(counter, Worked(()))
+            step = Assignment(counter, Computation(()))
             self._written(step)
             self._body.append(Step(step))
             again = [Step(step)]
@@ -348,7 +348,7 @@ class Reader(Motions):
     def _way(self, line: Line, word: str, place: int) -> None:
         block = self._blocks[-1]
         if block.word != ("if" if word == "else" else "switch") or block.last:
-            raise Broken(place, f"has {word.upper()} where none can be")
+            raise MalformedProgram(place, f"has {word.upper()} where none can be")
         if word == "case":
             while not line.ended:
                 self._mentions(line.expression(), "computes with it")
@@ -356,14 +356,14 @@ class Reader(Motions):
                     break
         line.close()
         if line.calls:
-            raise Misread
+            raise MalformedStatement
         block.last = word != "case"
         block.bodies.append([])
 
     def _closed(self, line: Line, word: str, place: int) -> None:
         block = self._blocks[-1]
         if word != _BODIES.get(block.word, "endspline" if block.word == "spline" else ""):
-            raise Broken(place, f"has {word.upper()} where none can be")
+            raise MalformedProgram(place, f"has {word.upper()} where none can be")
         self._blocks.pop()
         if word == "until":
             self._mentions(line.expression(), "computes with it")

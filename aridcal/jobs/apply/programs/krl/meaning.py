@@ -11,28 +11,28 @@ from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.frames import absent
 from aridcal.jobs.apply.programs.krl import table
 from aridcal.jobs.apply.programs.krl.names import Names
-from aridcal.jobs.apply.programs.krl.noting import Said
 from aridcal.jobs.apply.programs.krl.points import Points, shown_text
+from aridcal.jobs.apply.programs.krl.project_facts import ProjectFacts
 from aridcal.jobs.apply.programs.krl.syntax import (
     AXES,
     EXTERNAL,
     Aggregate,
     Assignment,
-    Carried,
+    ControllerCall,
     Expression,
     Function,
     Goal,
     Move,
     Product,
-    Unclear,
+    UnclearStatement,
     Variable,
     Word,
 )
 from aridcal.jobs.apply.programs.krl.values import WORKED, Element, Parts, Values, inverse_of
 from aridcal.jobs.apply.programs.targets import Target
-from aridcal.jobs.apply.programs.text import LARGEST, NONE, Number
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NONE, Number
 from aridcal.jobs.apply.programs.uses import HERE, Frame, Use, product
-from aridcal.jobs.apply.programs.walk import State, Unknown
+from aridcal.jobs.apply.programs.walk import ProgramState, Unknown
 
 OUTSIDE = "the tool stands outside ($IPO_MODE is #TCP)"
 
@@ -59,29 +59,29 @@ class Meaning(Values):
 
     def __init__(
         self,
-        said: Said,
+        facts: ProjectFacts,
         names: Names,
         points: Points,
         constants: Mapping[Element, object],
         begin: Mapping[Element, object],
     ) -> None:
-        super().__init__(said, constants)
-        self._said, self._names, self._points = said, names, points
+        super().__init__(facts, constants)
+        self._said, self._names, self._points = facts, names, points
         self._begin = begin
         self._stated = points.cell.frames
-        written = {mention.variable.key for mention in said.writes.values()}
+        assigned_keys = {mention.variable.key for mention in facts.writes.values()}
         self.arrays = sorted(
-            {m.variable.key for m in said.writes.values() if m.variable.index is not None and m.variable.shared}
+            {m.variable.key for m in facts.writes.values() if m.variable.index is not None and m.variable.shared}
             | {key for key, index in begin if index and ":" not in key}
         )
         self._ignoring = any("#ignore" in code.plain for code in points.codes)
         self._outside = EXTERNAL[len(points.cell.axes.external) :]
         self._moved_outside = any(_TOLD_OUTSIDE.search(code.plain) for code in points.codes)
-        self._oddities = sorted(said.odd | {key for key in written if _odd(key, points.cell)})
+        self._oddities = sorted(facts.odd | {key for key in assigned_keys if _odd(key, points.cell)})
 
-    def start(self) -> State:
+    def start(self) -> ProgramState:
         """The state in which a program begins."""
-        state = State()
+        state = ProgramState()
         frames = self._stated
         for family, stated in (("$base", frames.bases), ("$tool", frames.tools)):
             if "default" in stated:
@@ -104,25 +104,25 @@ class Meaning(Values):
             self._put(element, ":" not in element[0], value, state)
         return state
 
-    def at_any_time(self, why: str) -> State:
+    def at_any_time(self, why: str) -> ProgramState:
         """The state in which an interrupt begins."""
         state = self.start()
         for family in ("frame", "mode", "stance", "odd", "outside"):
             state.forget_family(family, why)
         return state
 
-    def step(self, what: object, state: State) -> None:
+    def step(self, what: object, state: ProgramState) -> None:
         """Carry out a statement."""
         if isinstance(what, Move):
             self._move(what, state)
         elif isinstance(what, Assignment):
             self._assign(what, state)
-        elif isinstance(what, Carried):
+        elif isinstance(what, ControllerCall):
             self._carry(what, state)
-        elif isinstance(what, Unclear):
+        elif isinstance(what, UnclearStatement):
             state.forget_all(what.why)
 
-    def enter(self, what: object, name: str, state: State) -> None:
+    def enter(self, what: object, name: str, state: ProgramState) -> None:
         """Hand over what a routine gets by value."""
         parameters = self._said.parameters.get(name, [])
         given = what.arguments if isinstance(what, Function) else ()
@@ -132,7 +132,7 @@ class Meaning(Values):
                 value = Unknown(f"{parameter.shown} is handed over by the caller")
             self._put(parameter.element, False, value, state)
 
-    def leave(self, what: object, name: str, state: State) -> None:
+    def leave(self, what: object, name: str, state: ProgramState) -> None:
         """Forget what a routine may have given back."""
         if isinstance(what, Function):
             self._given_back(what, state)
@@ -140,7 +140,7 @@ class Meaning(Values):
             file, place = self._said.resumes
             state.forget_all(f"RESUME in {self._points.line(file.index, place)} may have broken off what was called")
 
-    def absent(self, what: object, name: str, state: State) -> None:
+    def absent(self, what: object, name: str, state: ProgramState) -> None:
         """A routine that is in no given file: it reaches all but variables of other modules."""
         assert isinstance(what, Function)
         self._given_back(what, state)
@@ -149,19 +149,19 @@ class Meaning(Values):
         why = f"{name.upper()} is in several files" if name in self._names.twice else absent(name.upper())
         self._reached(why, state)
 
-    def _reached(self, why: str, state: State) -> None:
+    def _reached(self, why: str, state: ProgramState) -> None:
         for family in ("frame", "mode", "stance", "outside", "shared"):
             state.forget_family(family, why)
         for array in self.arrays:
             state.forget_family(f"shared:{array}", why)
 
-    def _given_back(self, call: Function, state: State) -> None:
+    def _given_back(self, call: Function, state: ProgramState) -> None:
         head = dict(enumerate(self._said.parameters.get(call.routine, [])))
         for k, argument in enumerate(call.arguments):
             if isinstance(argument, Variable) and not (k in head and head[k][1]):
                 self._forget(argument, f"{argument.shown} was passed on", state)
 
-    def _carry(self, what: Carried, state: State) -> None:
+    def _carry(self, what: ControllerCall, state: ProgramState) -> None:
         """BAS, and routines by which a sensor moves the arm."""
         name, arguments = what.call.name, what.call.arguments
         if name in table.ODD:
@@ -187,7 +187,7 @@ class Meaning(Values):
             for family in ("frame", "mode"):
                 state.forget_family(family, f"{what.line} calls BAS with a command that is not known")
 
-    def _form(self, state: State) -> None:
+    def _form(self, state: ProgramState) -> None:
         """What BAS does with FDAT_ACT."""
         form = self._get(("fdat_act", None), True, state)
         part = Parts(form, "FDAT_ACT")
@@ -196,7 +196,7 @@ class Meaning(Values):
         mode = part("ipo_frame")
         state.set("mode", "ipo", mode.name if isinstance(mode, Word) else mode)
 
-    def _assign(self, assignment: Assignment, state: State) -> None:
+    def _assign(self, assignment: Assignment, state: ProgramState) -> None:
         to = assignment.to
         if to.key in ("$base", "$tool"):
             state.set("frame", to.key, self._new_frame(assignment, state))
@@ -212,7 +212,7 @@ class Meaning(Values):
         else:
             self._put(to.element, to.shared, self._stored(assignment.value, state), state)
 
-    def _stored(self, expression: Expression, state: State) -> object:
+    def _stored(self, expression: Expression, state: ProgramState) -> object:
         """The value that a variable gets."""
         if isinstance(expression, Product):
             return self.frame(expression, state)
@@ -221,7 +221,7 @@ class Meaning(Values):
             return replace(value, place=None)  # a copy: its numbers stand elsewhere
         return value
 
-    def _write_part(self, assignment: Assignment, state: State) -> None:
+    def _write_part(self, assignment: Assignment, state: ProgramState) -> None:
         to = assignment.to
         before = WORKED if to.worked_out else self._get(to.element, to.shared, state)
         value = self.value(assignment.value, state)
@@ -232,7 +232,7 @@ class Meaning(Values):
         else:
             self._forget(to, f"a part of {to.key.upper().split(':')[-1]} is worked out", state)
 
-    def _new_frame(self, assignment: Assignment, state: State) -> object:
+    def _new_frame(self, assignment: Assignment, state: ProgramState) -> object:
         to = assignment.to
         if not to.path and to.index is None and not to.worked_out:
             return self.frame(assignment.value, state)
@@ -242,7 +242,7 @@ class Meaning(Values):
         if (
             isinstance(before, Frame)
             and isinstance(value, Number)
-            and abs(value.value) <= LARGEST
+            and abs(value.value) <= LARGEST_IN_PROGRAM
             and part in ("x", "y", "z")
         ):
             T = before.T.copy()
@@ -250,7 +250,7 @@ class Meaning(Values):
             return Frame(T)
         return before if isinstance(before, Unknown) else Unknown(f"a part of {to.key.upper()} is worked out")
 
-    def _mode(self, expression: Expression, state: State) -> object:
+    def _mode(self, expression: Expression, state: ProgramState) -> object:
         value = self.value(expression, state)
         if isinstance(expression, Function) and expression.name in ("sipo_mode", "sori_typ") and expression.arguments:
             value = self.value(expression.arguments[0], state)
@@ -258,7 +258,7 @@ class Meaning(Values):
                 value = Parts(value, "")("ori_typ")
         return value.name if isinstance(value, Word) else value if isinstance(value, Unknown) else NO_MODE
 
-    def _move(self, move: Move, state: State) -> None:
+    def _move(self, move: Move, state: ProgramState) -> None:
         if move.word in table.RELATIVE:
             state.forget("outside", None, f"{self._line(move)} goes a step from where they were")
             if state.recording:
@@ -286,7 +286,7 @@ class Meaning(Values):
             last = order == len(move.targets) - 1
             self._go(move, goal, last, _Conditions(base, tool, ipo, ori, odd), state)
 
-    def _go(self, move: Move, goal: Goal, last: bool, conditions: _Conditions, state: State) -> None:
+    def _go(self, move: Move, goal: Goal, last: bool, conditions: _Conditions, state: ProgramState) -> None:
         if isinstance(goal.point, Variable) and goal.point.key in table.HELD and not (goal.before or goal.behind):
             return
         value = self.value(goal.point, state)
@@ -310,7 +310,9 @@ class Meaning(Values):
         if last:
             self._stance(move, value, use, stated, state)
 
-    def _use(self, move: Move, goal: Goal, value: Aggregate, conditions: _Conditions, state: State) -> tuple[Use, bool]:
+    def _use(
+        self, move: Move, goal: Goal, value: Aggregate, conditions: _Conditions, state: ProgramState
+    ) -> tuple[Use, bool]:
         """How the move comes to its point, and whether the point's S and T say how the arm stands there."""
         line = self._line(move)
         shift = bool(goal.before or goal.behind)
@@ -328,35 +330,35 @@ class Meaning(Values):
         comes = stance.why if isinstance(stance, Unknown) and not stated else ""
         return Use(line, base, tool, shift, why, None, comes, "shifted" if goal.behind else ""), stated
 
-    def _send_outside(self, move: Move, value: Aggregate, state: State) -> None:
+    def _send_outside(self, move: Move, value: Aggregate, state: ProgramState) -> None:
         """Note where a move sends external axes that the robot of the calibration does not have."""
         if not self._moved_outside:
             return
-        told = [(axis, own.value) for axis in self._outside if isinstance(own := value.fields.get(axis), Number)]
-        if told:
-            axis = next((axis for axis, place in told if place), "")
+        axis_values = [(axis, own.value) for axis in self._outside if isinstance(own := value.fields.get(axis), Number)]
+        if axis_values:
+            axis = next((axis for axis, place in axis_values if place), "")
             why = f"{self._line(move)} tells external axis {axis.upper()} a place, and the URDF does not have that axis"
             state.set("outside", None, why if axis else "")
 
-    def _stands_outside(self, state: State) -> str:
+    def _stands_outside(self, state: ProgramState) -> str:
         """Why it is not known where such axes have taken the robot, or the work; empty where they are at zero."""
         if not self._moved_outside:
             return ""
         stands = state.get("outside")
         return f"external axes are not certain: {stands.why}" if isinstance(stands, Unknown) else str(stands)
 
-    def _frames(self, factors: tuple[Expression, ...], state: State) -> list[object]:
+    def _frames(self, factors: tuple[Expression, ...], state: ProgramState) -> list[object]:
         return [self.frame(factor, state) for factor in factors]
 
-    def _stance(self, move: Move, value: Aggregate, use: Use, stated: bool, state: State) -> None:
+    def _stance(self, move: Move, value: Aggregate, use: Use, stated: bool, state: ProgramState) -> None:
         """Note whether it is known how the arm stands behind a move."""
-        read = not value.why and not use.trouble and value.place not in self._points.spoilt
-        if not read:
+        is_readable = not value.why and not use.trouble and value.place not in self._points.spoilt
+        if not is_readable:
             self._unread(move, state)
         elif stated or (value.jointed and value.fields.keys() >= set(AXES[: len(self._points.cell.axes.arm)])):
             state.set("stance", None, True)
 
-    def _unread(self, move: Move, state: State) -> None:
+    def _unread(self, move: Move, state: ProgramState) -> None:
         if move.word in table.JOINTED:
             state.forget(
                 "stance", None, f"{self._line(move)} goes to a place that is not known, and how the arm stands there"
@@ -373,7 +375,7 @@ class Meaning(Values):
 
     def written_by(self, what: Assignment | Function) -> list[tuple[str, Hashable]]:
         """Keys of the state that an assignment, or a routine of no given file, writes at any time."""
-        state = State()
+        state = ProgramState()
         if isinstance(what, Assignment):
             self._assign(what, state)
         else:

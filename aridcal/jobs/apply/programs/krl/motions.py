@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from aridcal.jobs.apply.programs.krl import table
 from aridcal.jobs.apply.programs.krl.expressions import Line
-from aridcal.jobs.apply.programs.krl.noting import Mention, Notes, Thread
+from aridcal.jobs.apply.programs.krl.project_facts import Mention, Notes, Thread
 from aridcal.jobs.apply.programs.krl.syntax import Assignment, Function, Goal, Move, Variable
-from aridcal.jobs.apply.programs.krl.tokens import Misread, Token
+from aridcal.jobs.apply.programs.krl.tokens import MalformedStatement, Token
 
 MOVES = table.LINEAR | table.JOINTED | table.RELATIVE | table.ASYNCHRONOUS
 
@@ -67,7 +67,7 @@ class Motions(Notes):
             line.take("=")
             value = line.expression()
             if to.key not in ("$base", "$tool", "$ipo_mode", *table.OUTSIDE) and to.key not in table.SYSTEM_VARIABLES:
-                raise Misread
+                raise MalformedStatement
             self._mentions(value, "uses it as a frame")
             settings.append(Assignment(to, value))
         return tuple(settings)
@@ -90,29 +90,29 @@ class Motions(Notes):
         if word != "trigger" and (not rest or rest[0].text != "decl"):
             if rest and rest[0].text in ("on", "off", "enable", "disable", "delay"):
                 return
-            raise Misread
+            raise MalformedStatement
         at = next((k for k, token in enumerate(rest) if token.text == "do" and token.kind == "name"), -1)
         if at < 0:
-            raise Misread
+            raise MalformedStatement
         self._said_in(rest[:at])
-        done = Line(rest[at + 1 :], self._file.index, self._low, self._text, self._resolved, self._routine_key)
-        if done.peek(1) == "(":
-            call = done.expression()
+        remainder = Line(rest[at + 1 :], self._file.index, self._low, self._text, self._resolved, self._routine_key)
+        if remainder.peek(1) == "(":
+            call = remainder.expression()
             if not isinstance(call, Function):
-                raise Misread
+                raise MalformedStatement
             what: Function | Assignment = call
             if self._call(call) and call.routine == call.name and call.name not in table.PACKAGES:
                 self._said.missing.add(call.name)
         else:
-            to = done.variable(done.take())
-            done.take("=")
-            what = Assignment(to, done.expression())
+            to = remainder.variable(remainder.take())
+            remainder.take("=")
+            what = Assignment(to, remainder.expression())
             self._written(what)
-            if done.calls:
-                raise Misread
-        if not done.ended:
-            done.take("prio")
-            done.take("=")
-            done.expression()
-        done.close()
+            if remainder.calls:
+                raise MalformedStatement
+        if not remainder.ended:
+            remainder.take("prio")
+            remainder.take("=")
+            remainder.expression()
+        remainder.close()
         self._said.threads.append(Thread(what, self._file, first.start))

@@ -64,7 +64,7 @@ def file_of(index: int, name: str, text: str, ours: bool) -> File:
 
 
 @dataclass(frozen=True)
-class Head:
+class RoutineHead:
     """The beginning of a routine.
 
     Attributes:
@@ -90,7 +90,7 @@ class Names:
     types: dict[str, str] = field(default_factory=dict)
     twice: set[str] = field(default_factory=set)
     _own: dict[str, set[str]] = field(default_factory=dict)
-    _routines: dict[tuple[str, str], Head] = field(default_factory=dict)
+    _routines: dict[tuple[str, str], RoutineHead] = field(default_factory=dict)
 
     def take_heads(self, file: File) -> None:
         """Note which routines a file has."""
@@ -108,9 +108,9 @@ class Names:
             for scope in scopes:
                 if (scope, name) in self._routines:
                     self.twice.add(name)
-                self._routines[scope, name] = Head(key, name, parameters)
+                self._routines[scope, name] = RoutineHead(key, name, parameters)
 
-    def routine(self, file: File, name: str) -> Head | None:
+    def routine(self, file: File, name: str) -> RoutineHead | None:
         """The routine that a call in a file means; None if no file has it, or several have."""
         head = self._routines.get((str(file.index), name)) or self._routines.get(("", name))
         return None if head is None or name in self.twice else head

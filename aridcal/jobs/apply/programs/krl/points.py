@@ -14,7 +14,7 @@ from aridcal.jobs.apply.programs.krl.names import File
 from aridcal.jobs.apply.programs.krl.syntax import AXES, EXTERNAL, POSE, Aggregate, Bits, Expression, Fields, Goal
 from aridcal.jobs.apply.programs.notations import KUKA
 from aridcal.jobs.apply.programs.postures import krl_words
-from aridcal.jobs.apply.programs.targets import Branch, Place, Target
+from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target
 from aridcal.jobs.apply.programs.text import NONE, Code, Number, Numbers
 from aridcal.jobs.apply.programs.uses import Ledger, Use, line_name
 
@@ -106,7 +106,7 @@ class Points:
         """All targets, when the walk is over."""
         return self.ledger.targets(self._target)
 
-    def _target(self, what: tuple[str, Aggregate], use: Use, beside: tuple[Place, ...]) -> Target:
+    def _target(self, what: tuple[str, Aggregate], use: Use, beside: tuple[PoseReference, ...]) -> Target:
         name, value = what
         assert value.place is not None
         file, start = value.place
@@ -123,14 +123,14 @@ class Points:
             readings = axes.readings(turned, units)
             why = why or ("" if turned else "states no axis that this robot has")
             return Target(line, name, "joints", Numbers(turned), why, readings, units, digits=5, file=file)
-        held = self._free.copy() if axes.external else self._free
+        fixed = self._free.copy() if axes.external else self._free
         for axis, column in zip(EXTERNAL, axes.external, strict=False):
             if axis in stated:
-                held[column] = axes.unit(column, DEGREE, MILLIMETRE) * stated[axis].value
+                fixed[column] = axes.unit(column, DEGREE, MILLIMETRE) * stated[axis].value
         words = None
         if not why and value.place in self._jumps and use.mode != "shifted":  # else S and T are not asked for
             words = krl_words(stated.get("s"), stated.get("t"), self.cell)
-        branch = Branch(words, None, held, nearest=words is None or not value.states_posture, unknown=use.unknown)
+        branch = Branch(words, None, fixed, nearest=words is None or not value.states_posture, unknown=use.unknown)
         return Target(
             line,
             name,

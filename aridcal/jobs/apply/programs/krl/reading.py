@@ -7,22 +7,22 @@ from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import KnownFrames
 from aridcal.jobs.apply.programs.krl import table
-from aridcal.jobs.apply.programs.krl.grammar import Broken, Reader
+from aridcal.jobs.apply.programs.krl.grammar import MalformedProgram, Reader
 from aridcal.jobs.apply.programs.krl.meaning import Meaning
 from aridcal.jobs.apply.programs.krl.names import File, Names, file_of
-from aridcal.jobs.apply.programs.krl.noting import Mention, Said
 from aridcal.jobs.apply.programs.krl.points import Points
-from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Function, Move, Unclear, Variable
+from aridcal.jobs.apply.programs.krl.project_facts import Mention, ProjectFacts
+from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Function, Move, UnclearStatement, Variable
 from aridcal.jobs.apply.programs.krl.values import Element, foot
 from aridcal.jobs.apply.programs.krl.writing import END_OF_FILE
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import NONE
 from aridcal.jobs.apply.programs.uses import Frame, Ledger, line_name, product
-from aridcal.jobs.apply.programs.walk import Body, Call, Choice, Repeat, State, Step, TooLong, Unknown, Walk
+from aridcal.jobs.apply.programs.walk import Body, Call, Choice, ProgramState, Repeat, Step, TooManyWays, Unknown, Walk
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]|\r(?!\n)")
 """Letters that end no line on one system and do on another, or none at all."""
@@ -38,7 +38,7 @@ _NUMBERED = re.compile(r"[+-]?\d{1,4}")
 _INDEXED = re.compile(r"([\w$]+)\[(\d{1,4})\]")
 
 
-def read(project: Project, cell: Cell) -> Reading:
+def read(project: Project, cell: Cell) -> ProgramReading:
     """Targets of a project.
 
     Args:
@@ -49,32 +49,34 @@ def read(project: Project, cell: Cell) -> Reading:
         file_of(k, source.path.name, _without_marks(source.text), source.ours)
         for k, source in enumerate(project.sources)
     )
-    said, names = _parsed([file for file in files if file.stem not in table.SYSTEM_MODULES])
-    spoilt = _spoilt(files, said)
-    constants, begin = _values(files, said, names, cell.frames)
+    facts, names = _parsed([file for file in files if file.stem not in table.SYSTEM_MODULES])
+    spoilt = _spoilt(files, facts)
+    constants, begin = _values(files, facts, names, cell.frames)
     points = Points(files, cell, spoilt, Ledger())
-    _declare(said, names, points)
-    meaning = Meaning(said, names, points, constants, begin)
+    _declare(facts, names, points)
+    meaning = Meaning(facts, names, points, constants, begin)
     try:
-        _walk(said, meaning, files, points)
-    except TooLong:
-        return Reading(_left_alone(files, said, names, spoilt, cell, "the program has more ways than can be followed"))
-    broken = [target for file, place, why in said.broken for target in _of_broken(file, place, why)]
-    notes = tuple(_notes(said, constants, meaning))
-    del said, names, constants, begin, meaning  # a long program's are larger than its targets
-    return Reading([*points.targets(), *broken], notes)
+        _walk(facts, meaning, files, points)
+    except TooManyWays:
+        return ProgramReading(
+            _left_alone(files, facts, names, spoilt, cell, "the program has more ways than can be followed")
+        )
+    broken_targets = [target for file, place, why in facts.broken for target in _of_broken(file, place, why)]
+    notes = tuple(_notes(facts, constants, meaning))
+    del facts, names, constants, begin, meaning  # a long program's are larger than its targets
+    return ProgramReading([*points.targets(), *broken_targets], notes)
 
 
 def context(path: Path) -> list[Path]:
     """Files beside a program that say what its names mean: its other half, and the controller's own data lists."""
     beside = [path.with_suffix(ending).name.lower() for ending in (".src", ".dat")]
-    wanted = {path.parent: {*beside, "$config.dat", "$machine.dat"}}
+    names_beside = {path.parent: {*beside, "$config.dat", "$machine.dat"}}
     for parent in path.absolute().parents:
         if parent.name.lower() == "r1":
-            wanted[parent] = {"$config.dat", "$machine.dat"}
+            names_beside[parent] = {"$config.dat", "$machine.dat"}
             for folder in _folders(parent, ("system", "mada")):
-                wanted[folder] = {"$config.dat", "$machine.dat"}
-    paths = [own for folder, names in wanted.items() for own in _files(folder, names)]
+                names_beside[folder] = {"$config.dat", "$machine.dat"}
+    paths = [own for folder, names in names_beside.items() for own in _files(folder, names)]
     return [own for own in dict.fromkeys(paths) if own.absolute() != path.absolute()]
 
 
@@ -100,14 +102,14 @@ def _without_marks(text: str) -> str:
     return text.rstrip(END_OF_FILE).ljust(len(text))
 
 
-def _parsed(files: Sequence[File]) -> tuple[Said, Names]:
+def _parsed(files: Sequence[File]) -> tuple[ProjectFacts, Names]:
     """All that files say: data lists first, which say what names of the programs are."""
-    said, names = Said(), Names()
+    facts, names = ProjectFacts(), Names()
     sound = []
     for file in files:
         odd = _CONTROL.search(file.code.text)
         if odd is not None:
-            said.broken.append((file, odd.start(), "has a control character, or a carriage return alone"))
+            facts.broken.append((file, odd.start(), "has a control character, or a carriage return alone"))
         else:
             sound.append(file)
     for file in sound:
@@ -117,30 +119,32 @@ def _parsed(files: Sequence[File]) -> tuple[Said, Names]:
         if count > 1:
             names.twice.add(module[0])
     for file in sorted(sound, key=lambda file: not file.data):
-        reader = Reader(file, names, said)
+        reader = Reader(file, names, facts)
         try:
             if file.data:
                 reader.data()
             else:
                 reader.program()
-        except Broken as problem:
+        except MalformedProgram as problem:
             place, why = problem.args
-            said.broken.append((file, place, why))
-    for file, place, why in said.broken:
-        unclear = Unclear(f"{file.code.name} line {file.code.line(place)} {why}: nothing of the file is understood")
+            facts.broken.append((file, place, why))
+    for file, place, why in facts.broken:
+        unclear = UnclearStatement(
+            f"{file.code.name} line {file.code.line(place)} {why}: nothing of the file is understood"
+        )
         for match in file.heads():
-            said.bodies[f"{file.index}/{match.group('name')}"] = [Step(unclear)]
-    return said, names
+            facts.bodies[f"{file.index}/{match.group('name')}"] = [Step(unclear)]
+    return facts, names
 
 
 def _values(
-    files: Sequence[File], said: Said, names: Names, frames: KnownFrames
+    files: Sequence[File], facts: ProjectFacts, names: Names, frames: KnownFrames
 ) -> tuple[dict[Element, object], dict[Element, object]]:
     """Values of data lists and of --frames: those that stay for ever, and those that hold when a program begins."""
-    stated = _stated(frames, foot(said))
+    stated = _stated(frames, foot(facts))
     values: dict[Element, object] = dict(stated)
     given: dict[Element, File] = {}
-    for file, variable, value in said.values:
+    for file, variable, value in facts.values:
         element = variable.element
         values[element] = value
         if not variable.whole or element in given:
@@ -149,29 +153,29 @@ def _values(
             values[element] = Unknown(f"{variable.shown} is one frame in {file.code.name} and another in --frames")
         given[element] = file
     codes = tuple(file.code for file in files)
-    written: dict[str, str] = {}
-    for mention in said.writes.values():
+    writers: dict[str, str] = {}
+    for mention in facts.writes.values():
         line = (
             f"{mention.file.code.name} line {mention.file.code.line(mention.variable.start)}"
             if len(codes) > 1
             else (f"line {mention.file.code.line(mention.variable.start)}")
         )
-        written.setdefault(
+        writers.setdefault(
             mention.variable.key, f"{mention.variable.shown} is kept from one run to the next: {line} {mention.does}"
         )
-    reached = bool(said.missing - frames.harmless) or bool(said.broken) or bool(names.twice)
+    reached = bool(facts.missing - frames.harmless) or bool(facts.broken) or bool(names.twice)
     constants: dict[Element, object] = {}
     begin: dict[Element, object] = {}
-    for element, held in values.items():
+    for element, content in values.items():
         key = element[0]
-        if key in written:
-            begin[element] = Unknown(written[key])
-        elif key.split(":")[-1] in said.imported:
+        if key in writers:
+            begin[element] = Unknown(writers[key])
+        elif key.split(":")[-1] in facts.imported:
             begin[element] = Unknown(f"{key.split(':')[-1].upper()} is imported by another module, which may write it")
         elif reached and ":" not in key:
-            begin[element] = held
+            begin[element] = content
         else:
-            constants[element] = held
+            constants[element] = content
     return constants, begin
 
 
@@ -195,10 +199,10 @@ def _stated(frames: KnownFrames, world_foot: Frame | Unknown) -> dict[Element, o
     return values
 
 
-def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
+def _spoilt(files: Sequence[File], facts: ProjectFacts) -> dict[tuple[int, int], str]:
     """Why numbers at places of the text must stay: something else than a move uses them."""
     by_key: dict[str, list[tuple[Variable, Aggregate]]] = {}
-    for _, variable, value in said.points:
+    for _, variable, value in facts.points:
         by_key.setdefault(variable.key, []).append((variable, value))
     spoilt: dict[tuple[int, int], str] = {}
 
@@ -207,7 +211,7 @@ def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
         spoilt.setdefault(value.place, why)
 
     sound = dict(by_key)  # what is spoilt is not looked at again: a point may be read in each line
-    for mention in said.reads:
+    for mention in facts.reads:
         own = sound.get(mention.variable.key)
         if own:
             rest = [given for given in own if not _may_be(mention.variable, given[0])]
@@ -217,15 +221,15 @@ def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
                     if _may_be(mention.variable, variable):
                         spoil(value, why)
                 sound[mention.variable.key] = rest
-    named = [(file, set(_WORD.findall(file.code.plain))) for file, _, _ in said.broken]
+    words_of_files = [(file, set(_WORD.findall(file.code.plain))) for file, _, _ in facts.broken]
     for key, given in by_key.items():
         name = key.split(":")[-1]
-        for file, words in named:
+        for file, words in words_of_files:
             if name in words:
                 for _, value in given:
                     spoil(value, f"{file.code.name}, of which nothing is understood, names it")
         for variable, value in given:
-            if name in said.imported:
+            if name in facts.imported:
                 spoil(value, f"{name.upper()} is imported by another module, which may write it")
             if variable.worked_out or variable.path:
                 spoil(value, f"{variable.shown} is an element that the program works out")
@@ -241,30 +245,30 @@ def _may_be(one: Variable, other: Variable) -> bool:
     return one.worked_out or other.worked_out or one.index is None or other.index is None or one.index == other.index
 
 
-def _declare(said: Said, names: Names, points: Points) -> None:
+def _declare(facts: ProjectFacts, names: Names, points: Points) -> None:
     """Name all points that variables of our files hold, used or not."""
-    for file, variable, value in said.points:
+    for file, variable, value in facts.points:
         if file.ours and names.types.get(variable.key) in table.POINTS:
             points.declare(variable.shown, value)
 
 
-def _walk(said: Said, meaning: Meaning, files: Sequence[File], points: Points) -> None:
+def _walk(facts: ProjectFacts, meaning: Meaning, files: Sequence[File], points: Points) -> None:
     """Walk all routines that nothing calls, then those that interrupts and triggers call."""
-    walk = Walk(said.bodies, meaning)
+    walk = Walk(facts.bodies, meaning)
     volatile: list[tuple[list[tuple[str, Hashable]], str]] = []
     threads: dict[str, str] = {}
-    for thread in said.threads:
+    for thread in facts.threads:
         why = f"{points.line(thread.file.index, thread.start)} may change it at any time"
         what = thread.what
-        if isinstance(what, Function) and what.routine in said.bodies:
+        if isinstance(what, Function) and what.routine in facts.bodies:
             threads.setdefault(what.routine, why)
             volatile.append((walk.writes(what.routine, meaning.at_any_time(why)), why))
-        elif not isinstance(what, Function) or what.name in said.missing or what.name in table.PACKAGES:
+        elif not isinstance(what, Function) or what.name in facts.missing or what.name in table.PACKAGES:
             volatile.append((meaning.written_by(what), why))
-    called = {name for body in said.bodies.values() for name in _called(body)}
-    entries = [key for key in _ordered(said.bodies, files) if key not in called and key not in threads]
+    callees = {name for body in facts.bodies.values() for name in _called(body)}
+    entries = [key for key in _ordered(facts.bodies, files) if key not in callees and key not in threads]
 
-    def enter(key: str, state: State) -> None:
+    def enter(key: str, state: ProgramState) -> None:
         for keys, why in volatile:
             state.volatile(keys, why)
         walk.enter(key, state)
@@ -274,7 +278,7 @@ def _walk(said: Said, meaning: Meaning, files: Sequence[File], points: Points) -
         enter(key, meaning.start())
     for key, why in threads.items():
         enter(key, meaning.at_any_time(why))
-    for key in _ordered(said.bodies, files):  # routines that only call each other
+    for key in _ordered(facts.bodies, files):  # routines that only call each other
         if key not in walk.reached:
             enter(key, meaning.start())
 
@@ -297,7 +301,7 @@ def _called(body: Body) -> Iterator[str]:
 
 def _left_alone(
     files: tuple[File, ...],
-    said: Said,
+    facts: ProjectFacts,
     names: Names,
     spoilt: dict[tuple[int, int], str],
     cell: Cell,
@@ -305,8 +309,8 @@ def _left_alone(
 ) -> list[Target]:
     """All targets of a program that cannot be followed, with the reason."""
     points = Points(files, cell, spoilt, Ledger())
-    _declare(said, names, points)
-    for body in said.bodies.values():
+    _declare(facts, names, points)
+    for body in facts.bodies.values():
         for move in _moves(body):
             for goal in move.targets:
                 points.vague(goal, move.file, why)
@@ -337,11 +341,11 @@ def _of_broken(file: File, place: int, why: str) -> Iterator[Target]:
         yield Target(file.code.line(match.start()), shown, "pose", NONE, reason, file=file.index)
 
 
-def _notes(said: Said, constants: Mapping[Element, object], meaning: Meaning) -> Iterator[str]:
+def _notes(facts: ProjectFacts, constants: Mapping[Element, object], meaning: Meaning) -> Iterator[str]:
     """What was taken for granted."""
     yield "BAS and the functions of inline forms are taken to do what KUKA's bas.src does"
     if ("$robroot", None) not in constants:
         yield "$WORLD is taken to be at the foot of the robot ($ROBROOT zero): give $machine.dat if it is elsewhere"
-    if said.packages:
-        listed = ", ".join(sorted(said.packages))
+    if facts.packages:
+        listed = ", ".join(sorted(facts.packages))
         yield f"{listed}: taken to switch signals, wait and weave, as KUKA's grippers, guns and torches do"

@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from aridcal.jobs.apply.programs.notations import KUKA
-from aridcal.jobs.apply.programs.text import LARGEST, Number, Numbers
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, Number, Numbers
 from aridcal.jobs.apply.programs.uses import Frame
 
 POSE = ("x", "y", "z", "a", "b", "c")
@@ -119,9 +119,13 @@ class Fields(Mapping[str, Number]):
     def why(self) -> str:
         """Why these are not the numbers of a target; empty if they are."""
         strange, lacking = _unlike_a_target(self.names)
-        if max(map(abs, map(float, self.numbers.texts))) <= LARGEST:
+        if max(map(abs, map(float, self.numbers.texts))) <= LARGEST_IN_PROGRAM:
             return strange or lacking
-        name = next(name for name, number in zip(self.names, self.numbers, strict=True) if abs(number.value) > LARGEST)
+        name = next(
+            name
+            for name, number in zip(self.names, self.numbers, strict=True)
+            if abs(number.value) > LARGEST_IN_PROGRAM
+        )
         return strange or f"has {name.upper()} beyond a million"
 
 
@@ -186,7 +190,7 @@ class Aggregate:
                 return strange or f"has {name.upper()} in bits: write it as a decimal number"
             if not isinstance(value, Number):
                 return strange or f"has {name.upper()} that is no plain number"
-            if not abs(value.value) <= LARGEST:
+            if not abs(value.value) <= LARGEST_IN_PROGRAM:
                 return strange or f"has {name.upper()} beyond a million"
         return strange or lacking
 
@@ -194,7 +198,7 @@ class Aggregate:
     def frame(self) -> Frame | None:
         """The transform of six plain numbers; None if it is none."""
         values = [v.value for name in POSE if isinstance(v := self.fields.get(name), Number)]
-        if len(values) < len(POSE) or not all(abs(v) <= LARGEST for v in values):
+        if len(values) < len(POSE) or not all(abs(v) <= LARGEST_IN_PROGRAM for v in values):
             return None
         return Frame(KUKA.pose(np.array(values)))
 
@@ -236,7 +240,7 @@ class Product:
 
 
 @dataclass(frozen=True, slots=True)
-class Worked:
+class Computation:
     """Anything else that is worked out.
 
     Attributes:
@@ -246,7 +250,7 @@ class Worked:
     parts: tuple[Expression, ...]
 
 
-Expression = Number | Text | Bits | Word | Variable | Aggregate | Function | Product | Worked
+Expression = Number | Text | Bits | Word | Variable | Aggregate | Function | Product | Computation
 
 
 def variables(expression: Expression) -> Iterator[Variable]:
@@ -269,7 +273,7 @@ def parts(expression: Expression) -> tuple[Expression, ...]:
         return expression.arguments
     if isinstance(expression, Product):
         return expression.factors
-    return expression.parts if isinstance(expression, Worked) else ()
+    return expression.parts if isinstance(expression, Computation) else ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,7 +325,7 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
-class Unclear:
+class UnclearStatement:
     """A statement that the tables do not have.
 
     Attributes:
@@ -332,11 +336,11 @@ class Unclear:
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class ControllerCall:
     """A statement of the tables that calls a routine of the controller."""
 
     call: Function
     line: str
 
 
-Statement = Assignment | Move | Unclear | Carried
+Statement = Assignment | Move | UnclearStatement | ControllerCall

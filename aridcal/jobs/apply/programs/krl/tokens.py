@@ -42,7 +42,7 @@ _STRINGS_AND_COMMENTS = re.compile(r'"[^"\n]*+"|;[^\n]*+')
 NAME = re.compile(r"[a-z_$][\w$]*+", re.ASCII)
 
 
-class Misread(Exception):
+class MalformedStatement(Exception):
     """A statement is not written as the language has it."""
 
 
@@ -83,7 +83,7 @@ def tokens(text: str, start: int, end: int) -> list[Token]:
         match = _TOKEN.match(text, start, end)
         if match is None:
             if text[start:end].strip(" \t\r"):
-                raise Misread
+                raise MalformedStatement
             break
         kind = match.lastgroup
         assert kind is not None
@@ -106,7 +106,7 @@ def fields(low: str, text: str, token: Token) -> Mapping[str, Number | Word | Te
     matches = list(_FIELD.finditer(low, token.start, token.end))
     names = tuple([match.group(1) for match in matches])
     if len(set(names)) < len(names):
-        raise Misread
+        raise MalformedStatement
     spans = [match.span(2) for match in matches]
     if all(start >= 0 for start, _ in spans):
         return Fields(names, Numbers.packed(spans, [text[start:end] for start, end in spans]))

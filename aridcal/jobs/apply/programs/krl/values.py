@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from aridcal.jobs.apply.programs.frames import unknown
+from aridcal.jobs.apply.programs.frames import unknown_frame
 from aridcal.jobs.apply.programs.krl import table
-from aridcal.jobs.apply.programs.krl.noting import Said
+from aridcal.jobs.apply.programs.krl.project_facts import ProjectFacts
 from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Expression, Function, Product, Variable, Word
 from aridcal.jobs.apply.programs.notations import inverse
 from aridcal.jobs.apply.programs.text import Number
 from aridcal.jobs.apply.programs.uses import HERE, Frame, product
-from aridcal.jobs.apply.programs.walk import NEVER_SET, State, Unknown
+from aridcal.jobs.apply.programs.walk import NEVER_SET, ProgramState, Unknown
 
 Element = tuple[str, tuple[float, ...] | None]
 
@@ -27,14 +27,14 @@ class Values:
         constants: Values of variables that nothing writes.
     """
 
-    def __init__(self, said: Said, constants: Mapping[Element, object]) -> None:
+    def __init__(self, facts: ProjectFacts, constants: Mapping[Element, object]) -> None:
         self._constants = constants
-        self.foot = foot(said)
-        on = {v.key for _, v, value in said.values if v.key.endswith("_on") and not _false(value)}
-        written = {mention.variable.key for mention in said.writes.values()}
-        self._shifted = sorted(table.CORRECTIONS & (written | on))
+        self.foot = foot(facts)
+        on = {v.key for _, v, value in facts.values if v.key.endswith("_on") and not _false(value)}
+        assigned_keys = {mention.variable.key for mention in facts.writes.values()}
+        self._shifted = sorted(table.CORRECTIONS & (assigned_keys | on))
 
-    def value(self, expression: Expression, state: State) -> object:
+    def value(self, expression: Expression, state: ProgramState) -> object:
         """What an expression is: an :class:`Aggregate`, a Frame, a Number, a Word, or Unknown."""
         if isinstance(expression, Aggregate | Number | Word):
             return expression
@@ -51,7 +51,7 @@ class Values:
             return value
         return Parts(value, expression.shown)(expression.path[0]) if len(expression.path) == 1 else WORKED
 
-    def _variable(self, variable: Variable, state: State) -> object:
+    def _variable(self, variable: Variable, state: ProgramState) -> object:
         key = variable.key
         if key in table.FRAMES_OF_ALL:
             return HERE
@@ -66,7 +66,7 @@ class Values:
             return Unknown(f"{variable.shown} is in no given file")
         return value
 
-    def _function(self, call: Function, state: State) -> object:
+    def _function(self, call: Function, state: ProgramState) -> object:
         """Functions of inline forms."""
         if call.routine != call.name or not call.arguments:
             return Unknown(f"{call.name.upper()} works it out")
@@ -80,7 +80,7 @@ class Values:
             return Unknown("$BASE moves with an external axis")
         return Unknown(f"{call.name.upper()} works it out")
 
-    def frame(self, expression: Expression, state: State) -> Frame | Unknown:
+    def frame(self, expression: Expression, state: ProgramState) -> Frame | Unknown:
         """The frame that an expression is."""
         if isinstance(expression, Product):
             return product(*(self.frame(factor, state) for factor in expression.factors))
@@ -94,7 +94,7 @@ class Values:
             return value.frame
         return Unknown(f"{shown} is no frame of six plain numbers")
 
-    def _numbered(self, kind: str, number: object, state: State) -> Frame | Unknown:
+    def _numbered(self, kind: str, number: object, state: ProgramState) -> Frame | Unknown:
         """Tool or base of a number, as BAS and the functions of inline forms have it."""
         if not isinstance(number, Number):
             return Unknown(
@@ -112,18 +112,18 @@ class Values:
         name = f"{kind.upper()}_DATA[{n:g}]"
         value = self._get((f"{kind}_data", (n,)), True, state)
         if value is NEVER_SET:
-            return Unknown(unknown(kind, f"{n:g}"))
+            return Unknown(unknown_frame(kind, f"{n:g}"))
         return self._as_frame(value, name)
 
-    def _get(self, element: Element, shared: bool, state: State) -> object:
+    def _get(self, element: Element, shared: bool, state: ProgramState) -> object:
         if element in self._constants:
             return self._constants[element]
         return state.get(*member_of(element, shared))
 
-    def _put(self, element: Element, shared: bool, value: object, state: State) -> None:
+    def _put(self, element: Element, shared: bool, value: object, state: ProgramState) -> None:
         state.set(*member_of(element, shared), value)
 
-    def _forget(self, variable: Variable, why: str, state: State) -> None:
+    def _forget(self, variable: Variable, why: str, state: ProgramState) -> None:
         if variable.key in ("$base", "$tool"):
             state.forget("frame", variable.key, why)
         elif variable.worked_out:
@@ -159,9 +159,9 @@ def inverse_of(frame: object) -> object:
     return Frame(inverse(frame.T)) if isinstance(frame, Frame) and frame is not HERE else frame
 
 
-def foot(said: Said) -> Frame | Unknown:
+def foot(facts: ProjectFacts) -> Frame | Unknown:
     """Where the foot of the robot is in the world of the controller, by $ROBROOT of its machine data."""
-    given = [value for _, variable, value in said.values if variable.key == "$robroot"]
+    given = [value for _, variable, value in facts.values if variable.key == "$robroot"]
     if not given:
         return HERE
     value = given[0]

@@ -13,19 +13,19 @@ END_OF_FILE = "\x1a"
 """Old controllers end files with it."""
 
 
-def program(made: Moves, stem: str) -> Iterator[str]:
+def program(moves: Moves, stem: str) -> Iterator[str]:
     """Lines of a program: `PTP` to axes without approximation stops exactly, and nothing is carried out ahead of `WAIT`."""
-    axes = made.axes()
+    axes = moves.axes()
     yield f"DEF {stem}( )"
-    yield from (f"  ; {note}" for note in made.notes)
+    yield from (f"  ; {note}" for note in moves.notes)
     yield "  BAS(#INITMOV, 0)"
     yield f"  BAS(#VEL_PTP, {PERCENT})"
-    for stop in made.stops:
-        values = [f"{axis} {value:.5f}" for axis, value in zip(axes, made.shown(stop), strict=True)]
+    for stop in moves.stops:
+        values = [f"{axis} {value:.5f}" for axis, value in zip(axes, moves.shown(stop), strict=True)]
         yield f"  PTP {{{', '.join(values)}}}"
         if stop.number:
             yield f"  ; {stop.remark}"
-            yield f"  WAIT SEC {made.settle:.3f}"
+            yield f"  WAIT SEC {moves.settle:.3f}"
     yield "END"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from aridcal.jobs.apply.programs.language import Language
-from aridcal.jobs.apply.programs.moves import AXES
+from aridcal.jobs.apply.programs.moves import ARM_AXES
 from aridcal.jobs.apply.programs.rapid.reading import read
 from aridcal.jobs.apply.programs.rapid.writing import comment, write
 
@@ -23,4 +23,4 @@ def context(path: Path) -> list[Path]:
     return [file for file in files if file.suffix.lower() in ENDINGS and file.is_file() and file != path]
 
 
-ROW = Language("RAPID", ENDINGS, read, context=context, comment=comment, write=write, external=AXES)
+ROW = Language("RAPID", ENDINGS, read, context=context, comment=comment, write=write, external=ARM_AXES)

@@ -9,9 +9,17 @@ from typing import Literal as OneOf
 
 import numpy as np
 
-from aridcal.jobs.apply.programs.frames import KnownFrames, unknown
+from aridcal.jobs.apply.programs.frames import KnownFrames, unknown_frame
 from aridcal.jobs.apply.programs.rapid.grammar import NAME, fold
-from aridcal.jobs.apply.programs.rapid.names import BARE, CALLED, WORDS_BEFORE_BRACKETS, Bound, Names, Option, arguments
+from aridcal.jobs.apply.programs.rapid.names import (
+    BARE,
+    CALLED,
+    WORDS_BEFORE_BRACKETS,
+    BoundRoutine,
+    Names,
+    Option,
+    arguments,
+)
 from aridcal.jobs.apply.programs.rapid.values import (
     ABSENT,
     Alias,
@@ -31,9 +39,9 @@ from aridcal.jobs.apply.programs.rapid.values import (
 )
 from aridcal.jobs.apply.programs.text import NUMBER
 from aridcal.jobs.apply.programs.uses import HERE, Frame
-from aridcal.jobs.apply.programs.walk import NEVER_SET, State, Unknown
+from aridcal.jobs.apply.programs.walk import NEVER_SET, ProgramState, Unknown
 
-Value = Callable[[State], object]
+Value = Callable[[ProgramState], object]
 """What an expression is worth in a state."""
 
 DEEPEST = 12
@@ -65,7 +73,7 @@ class Constant:
 
     value: object
 
-    def __call__(self, state: State) -> object:
+    def __call__(self, state: ProgramState) -> object:
         """The value."""
         return self.value
 
@@ -86,7 +94,7 @@ class Expressions:
     _frames: dict[tuple[str, str, tuple[str, ...], str], Value] = field(default_factory=dict)
     _kept: dict[tuple[str, tuple[object, ...]], Frame | Unknown] = field(default_factory=dict)
 
-    def value(self, datum: Datum, state: State) -> object:
+    def value(self, datum: Datum, state: ProgramState) -> object:
         """What data is worth in a state."""
         for _ in range(DEEPEST):
             if self.steady(datum):
@@ -99,7 +107,7 @@ class Expressions:
             datum = value.datum
         return Unknown("it stands for data of too many routines")
 
-    def _of_leaves(self, datum: Datum, state: State) -> object:
+    def _of_leaves(self, datum: Datum, state: ProgramState) -> object:
         """The declared value with the parts that statements change."""
         value = self.declared(datum)
         for place in datum.leaves:
@@ -124,7 +132,7 @@ class Expressions:
         start, end = datum.code.trimmed(*datum.declared.value)
         if datum.holds_points:
             return self._points(datum, start, end, datum.declared.name, DEEPEST)
-        return self.compile(self.names.home(datum), start, end)(State())
+        return self.compile(self.names.home(datum), start, end)(ProgramState())
 
     def _points(self, datum: Datum, start: int, end: int, name: str, deep: int) -> object:
         """A point, or the elements of an array."""
@@ -146,7 +154,7 @@ class Expressions:
         return Point(own)
 
     def destination(
-        self, bound: Bound, start: int, end: int, form: OneOf["joints", "pose"], loops: tuple[str, ...]
+        self, bound: BoundRoutine, start: int, end: int, form: OneOf["joints", "pose"], loops: tuple[str, ...]
     ) -> Value:
         """Where a move goes, or a target that is assigned or passed on: brackets there are a target of their own."""
         start, end = bound.code.trimmed(start, end)
@@ -154,13 +162,13 @@ class Expressions:
             return Constant(self._literal(literal(bound.code, start, end, _shown(bound.code.plain[start:end]), form)))
         return self.compile(bound, start, end, loops)
 
-    def tool(self, bound: Bound, span: tuple[int, int] | None, loops: tuple[str, ...]) -> Value:
+    def tool(self, bound: BoundRoutine, span: tuple[int, int] | None, loops: tuple[str, ...]) -> Value:
         """T_tip_tool of a tooldata; of `tool0` where none is given."""
         if span is None:
             return Constant(self._zero("tool0", self.frames.tools))
         return self._frame(bound, span, loops, "tool0", "the tool", tool_frame)
 
-    def work_object(self, bound: Bound, option: Option | None, loops: tuple[str, ...]) -> Value:
+    def work_object(self, bound: BoundRoutine, option: Option | None, loops: tuple[str, ...]) -> Value:
         """T_base_object of a wobjdata; of `wobj0` where none is given."""
         if option is None:
             return Constant(self._zero("wobj0", self.frames.bases))
@@ -177,7 +185,7 @@ class Expressions:
 
     def _frame(
         self,
-        bound: Bound,
+        bound: BoundRoutine,
         span: tuple[int, int],
         loops: tuple[str, ...],
         zero: str,
@@ -194,7 +202,7 @@ class Expressions:
 
     def _new_frame(
         self,
-        bound: Bound,
+        bound: BoundRoutine,
         span: tuple[int, int],
         loops: tuple[str, ...],
         zero: str,
@@ -208,22 +216,22 @@ class Expressions:
             stated = (self.frames.tools if zero == "tool0" else self.frames.bases).get(name)
             if stated is not None:
                 return Constant(Frame(stated))
-            return Constant(HERE if name == zero else Unknown(unknown(kind, text)))
+            return Constant(HERE if name == zero else Unknown(unknown_frame(kind, text)))
         value = self.compile(bound, *span, loops)
         if isinstance(value, Constant):
             return value if isinstance(value.value, Frame) else Constant(convert(text, value.value))
-        kept = self._kept
+        cache = self._kept
 
-        def frame(state: State) -> object:
+        def frame(state: ProgramState) -> object:
             now = value(state)
             if not isinstance(now, tuple):
                 return now if isinstance(now, Frame) else convert(text, now)
             try:
-                if (text, now) not in kept:
-                    kept[text, now] = convert(text, now)
+                if (text, now) not in cache:
+                    cache[text, now] = convert(text, now)
             except TypeError:  # a frame stands in it where numbers belong: such a value has no hash
                 return convert(text, now)
-            return kept[text, now]
+            return cache[text, now]
 
         return frame
 
@@ -231,7 +239,9 @@ class Expressions:
         """Whether data is named here, but has its value in no given file."""
         return self.steady(datum) and datum.declared.value is None
 
-    def compile(self, bound: Bound, start: int, end: int, loops: tuple[str, ...] = (), deep: int = DEEPEST) -> Value:
+    def compile(
+        self, bound: BoundRoutine, start: int, end: int, loops: tuple[str, ...] = (), deep: int = DEEPEST
+    ) -> Value:
         """An expression, worked out as far as it is plain."""
         code = bound.code
         start, end = code.trimmed(start, end)
@@ -252,12 +262,12 @@ class Expressions:
                 return self.compile(bound, start + 1, end - 1, loops, deep - 1)
             parts = [self.compile(bound, *span, loops, deep - 1) for span in code.arguments(start + 1, end - 1)]
             return _together(parts, lambda values: values)
-        called = CALLED.match(code.plain, start, end)
-        if called is not None and code.closing(called.end() - 1) == end - 1:
-            return self._function(bound, fold(called.group(1)), called.end(), end - 1, loops, deep)
+        call = CALLED.match(code.plain, start, end)
+        if call is not None and code.closing(call.end() - 1) == end - 1:
+            return self._function(bound, fold(call.group(1)), call.end(), end - 1, loops, deep)
         return self._arithmetic(bound, start, end, loops, deep)
 
-    def _read(self, bound: Bound, name: str, place: int, end: int, loops: tuple[str, ...], deep: int) -> Value:
+    def _read(self, bound: BoundRoutine, name: str, place: int, end: int, loops: tuple[str, ...], deep: int) -> Value:
         datum = bound.scope.datum(name)
         if name in loops:
             return Constant(Unknown(f"{name} changes with every turn of the loop"))
@@ -281,7 +291,7 @@ class Expressions:
                 indices += [self.compile(bound, *span, loops, deep - 1) for span in spans]
             array = False
         if self.steady(datum) and all(isinstance(index, Constant) for index in indices):
-            return Constant(part_of(self.declared(datum), [index(State()) for index in indices]))
+            return Constant(part_of(self.declared(datum), [index(ProgramState()) for index in indices]))
         if not indices:
             return lambda state: self.value(datum, state)
         return lambda state: part_of(self.value(datum, state), [index(state) for index in indices])
@@ -293,7 +303,9 @@ class Expressions:
         stated = [frames[name] for frames in (self.frames.tools, self.frames.bases) if name in frames]
         return Frame(stated[0]) if len(stated) == 1 else Unknown(f"{name} is in no given file")
 
-    def _function(self, bound: Bound, name: str, start: int, end: int, loops: tuple[str, ...], deep: int) -> Value:
+    def _function(
+        self, bound: BoundRoutine, name: str, start: int, end: int, loops: tuple[str, ...], deep: int
+    ) -> Value:
         line = f"{self.names.line(bound.code, start)} works it out"
         if self.names.routine(bound.module, name) is not None:
             return Constant(Unknown(line))
@@ -311,7 +323,7 @@ class Expressions:
             return _together(parts, lambda values: _pose(line, lambda a, b: a @ b, *values))
         return Constant(Unknown(line))
 
-    def _arithmetic(self, bound: Bound, start: int, end: int, loops: tuple[str, ...], deep: int) -> Value:
+    def _arithmetic(self, bound: BoundRoutine, start: int, end: int, loops: tuple[str, ...], deep: int) -> Value:
         code = bound.code
         line = f"{self.names.line(code, start)} works it out"
         place, cut = start, -1
@@ -333,7 +345,7 @@ class Expressions:
         work = OPERATORS[code.plain[cut]]
         return _together([left, right], lambda values: _number(line, work, *values))
 
-    def mentioned(self, bound: Bound, start: int, end: int, loops: tuple[str, ...] = ()) -> list[Value]:
+    def mentioned(self, bound: BoundRoutine, start: int, end: int, loops: tuple[str, ...] = ()) -> list[Value]:
         """All data of an expression that may hold targets, each whole or the element that a plain index says."""
         values: list[Value] = []
         text = bound.code.plain[start:end]
@@ -362,7 +374,7 @@ def _has_name(text: str) -> bool:
 
 
 def _part_or_whole(part: Value, whole: Value) -> Value:
-    def value(state: State) -> object:
+    def value(state: ProgramState) -> object:
         own = part(state)
         return own if points_of(own) else whole(state)
 
@@ -372,7 +384,7 @@ def _part_or_whole(part: Value, whole: Value) -> Value:
 def _together(parts: list[Value], work: Callable[[tuple[object, ...]], object]) -> Value:
     """What is worked out of several values: once, if they never change."""
     if all(isinstance(part, Constant) for part in parts):
-        return Constant(work(tuple(part(State()) for part in parts)))
+        return Constant(work(tuple(part(ProgramState()) for part in parts)))
     return lambda state: work(tuple(part(state) for part in parts))
 
 

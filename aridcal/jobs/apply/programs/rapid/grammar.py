@@ -102,7 +102,7 @@ OPERATOR = re.compile(r"\s*(?:<>|<=|>=|[-+*/=<>]|(?:AND|OR|XOR|DIV|MOD)\b)", re.
 BEHIND = re.compile(rf"\s*(?:([({{])|\.\s*{NAME})")
 
 
-class NotUnderstood(Exception):
+class MalformedStatement(Exception):
     """A text is not formed as RAPID; the place of it, and what is wrong."""
 
     def __init__(self, place: int, why: str) -> None:
@@ -131,7 +131,7 @@ class Statement(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Declared:
+class DataDeclaration:
     """Data, or a parameter.
 
     Attributes:
@@ -175,8 +175,8 @@ class Routine:
     kind: str
     local: bool
     place: int
-    parameters: list[Declared] = field(default_factory=list)
-    data: list[Declared] = field(default_factory=list)
+    parameters: list[DataDeclaration] = field(default_factory=list)
+    data: list[DataDeclaration] = field(default_factory=list)
     body: list[Node] = field(default_factory=list)
     handlers: list[list[Node]] = field(default_factory=list)
     goes_on: bool = False
@@ -197,7 +197,7 @@ class Module:
 
     code: Code
     name: str
-    data: list[Declared] = field(default_factory=list)
+    data: list[DataDeclaration] = field(default_factory=list)
     routines: list[Routine] = field(default_factory=list)
     records: dict[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
     aliases: dict[str, str] = field(default_factory=dict)
@@ -251,22 +251,22 @@ class _Reader:
         assert match is not None
         self.place = match.end()
         if (bare := re.search(r"\r(?!\n)", self.code.text)) is not None:
-            raise NotUnderstood(bare.start(), "a line ends in a bare carriage return: save it with line feeds")
+            raise MalformedStatement(bare.start(), "a line ends in a bare carriage return: save it with line feeds")
         self._shallow()
-        found: list[Module] = []
+        modules: list[Module] = []
         while (header := MODULE.match(self.plain, self.place)) is not None:
             self.place = header.end()
             module = Module(self.code, header.group(1))
             self._module(module, "endmodule")
-            found.append(module)
-        if not found:
+            modules.append(module)
+        if not modules:
             module = Module(self.code, "")
             self._module(module, "")
-            found.append(module)
+            modules.append(module)
         self._space()
         if self.place < len(self.plain):
-            raise NotUnderstood(self.place, "text stands behind the module")
-        return found
+            raise MalformedStatement(self.place, "text stands behind the module")
+        return modules
 
     def _shallow(self) -> None:
         """Make sure that brackets do not stand in brackets without end."""
@@ -274,7 +274,7 @@ class _Reader:
         for match in re.finditer(r"[()]", self.plain):
             deep += 1 if match.group() == "(" else -1
             if deep > DEEPEST:
-                raise NotUnderstood(match.start(), f"more than {DEEPEST} brackets stand in each other")
+                raise MalformedStatement(match.start(), f"more than {DEEPEST} brackets stand in each other")
 
     def _space(self) -> None:
         match = SPACE.match(self.plain, self.place)
@@ -286,7 +286,7 @@ class _Reader:
             self._space()
             if self.place >= len(self.plain):
                 if end:
-                    raise NotUnderstood(self.place, "the module has no end")
+                    raise MalformedStatement(self.place, "the module has no end")
                 _once(module.routines)
                 return
             if placeholder := PLACEHOLDER.match(self.plain, self.place):
@@ -309,7 +309,7 @@ class _Reader:
                 module.aliases[fold(alias.group(2))] = fold(alias.group(1))
                 self.place = alias.end()
             else:
-                raise NotUnderstood(start, "no declaration of RAPID stands here")
+                raise MalformedStatement(start, "no declaration of RAPID stands here")
 
     def _scope(self) -> tuple[str, bool]:
         """The next word behind LOCAL and TASK, and whether LOCAL stands there."""
@@ -322,18 +322,18 @@ class _Reader:
             local = local or word == "local"
             self.place = match.end()
 
-    def _declared(self, local: bool = False) -> Declared:
+    def _declared(self, local: bool = False) -> DataDeclaration:
         match = DATA.match(self.plain, self.place)
         end = self._semicolon(self.place)
         if match is None or match.end() > end:
-            raise NotUnderstood(self.place, "no declaration of RAPID stands here")
+            raise MalformedStatement(self.place, "no declaration of RAPID stands here")
         value = (match.end(), end) if match.group(5) else None
         if value is None and self.plain[match.end() : end].strip():
-            raise NotUnderstood(match.end(), "no declaration of RAPID stands here")
+            raise MalformedStatement(match.end(), "no declaration of RAPID stands here")
         if value is not None:
             self._one_statement(*value)
         self.place = end + 1
-        return Declared(
+        return DataDeclaration(
             fold(match.group(1)),
             fold(match.group(2)),
             match.group(3),
@@ -346,7 +346,7 @@ class _Reader:
     def _semicolon(self, place: int) -> int:
         k = bisect_left(self._ends, place)
         if k == len(self._ends):
-            raise NotUnderstood(place, "the statement has no end")
+            raise MalformedStatement(place, "the statement has no end")
         return self._ends[k]
 
     def _one_statement(self, start: int, end: int) -> None:
@@ -355,19 +355,19 @@ class _Reader:
         for match in WORDS.finditer(self.plain, start, end):
             if match.group().lower() in RESERVED and self.plain[match.start() - 1] not in "\\.":
                 what = f"{match.group()} stands inside of a statement: is a semicolon missing?"
-                raise NotUnderstood(match.start(), what)
+                raise MalformedStatement(match.start(), what)
 
     def _routine(self, local: bool) -> Routine:
         match = ROUTINE.match(self.plain, self.place)
         if match is None:
-            raise NotUnderstood(self.place, "a routine has no name")
+            raise MalformedStatement(self.place, "a routine has no name")
         kind = match.group(1)[:4].lower()
         routine = Routine(match.group(2), kind, local, match.start(2))
         self.place = match.end()
         if kind != "trap":
             end = self.code.closing(self.place) if self.plain[self.place : self.place + 1] == "(" else -1
             if end < 0:
-                raise NotUnderstood(self.place, "a routine has no parameters in round brackets")
+                raise MalformedStatement(self.place, "a routine has no parameters in round brackets")
             routine.parameters = self._parameters(self.place + 1, end)
             self.place = end + 1
         while self._scope()[0] in ("const", "var", "pers"):
@@ -376,19 +376,21 @@ class _Reader:
         _RoutineReader(self, routine).read()
         return routine
 
-    def _parameters(self, start: int, end: int) -> list[Declared]:
-        parameters: list[Declared] = []
+    def _parameters(self, start: int, end: int) -> list[DataDeclaration]:
+        parameters: list[DataDeclaration] = []
         for first, last in self.code.arguments(start, end):
             place, optional = first, False
             while place < last:
                 match = PARAMETER.match(self.plain, place, last)
                 if match is None:
-                    raise NotUnderstood(place, "no parameter of RAPID stands here")
+                    raise MalformedStatement(place, "no parameter of RAPID stands here")
                 kind = fold(match.group(3))
                 storage = "switch" if kind == "switch" else (match.group(2) or "in").lower()
                 optional = optional or match.group(1) == "\\"
                 array = match.group(5) is not None
-                parameters.append(Declared(storage, kind, match.group(4), match.start(4), array, optional=optional))
+                parameters.append(
+                    DataDeclaration(storage, kind, match.group(4), match.start(4), array, optional=optional)
+                )
                 place = match.end()
                 while place < last and self.plain[place] in " \t\r\n|":  # one of several optional ones
                     place += 1
@@ -443,7 +445,7 @@ class _RoutineReader:
         elif self._plain.startswith(";", reader.place):
             reader.place += 1
         else:
-            raise NotUnderstood(reader.place, "no statement of RAPID stands here")
+            raise MalformedStatement(reader.place, "no statement of RAPID stands here")
 
     def _heads_handler(self, place: int) -> bool:
         """Whether a word is no name of data, a label or a routine."""
@@ -474,14 +476,14 @@ class _RoutineReader:
 
     def _begin(self, word: str, place: int, loop: str = "", once: bool = False) -> None:
         if len(self._open) > DEEPEST:
-            raise NotUnderstood(place, f"more than {DEEPEST} statements stand in each other")
+            raise MalformedStatement(place, f"more than {DEEPEST} statements stand in each other")
         loops = (*self._loops(), *([loop] if loop else []))
         self._open.append(_Block(word, place, loops, once))
 
     def _close(self, word: str) -> _Block:
         block = self._open[-1]
         if block.word != word:
-            raise NotUnderstood(
+            raise MalformedStatement(
                 self._reader.place, f"{block.word.upper()} of line {self._code.line(block.place)} has no end"
             )
         return self._open.pop() if word != "routine" else block
@@ -489,7 +491,7 @@ class _RoutineReader:
     def _until(self, pattern: re.Pattern[str], missing: str) -> tuple[int, str]:
         match = pattern.search(self._plain, self._reader.place)
         if match is None:
-            raise NotUnderstood(self._reader.place, f"{missing} is missing")
+            raise MalformedStatement(self._reader.place, f"{missing} is missing")
         return match.start(), match.group()
 
     def _if(self, start: int) -> None:
@@ -518,7 +520,7 @@ class _RoutineReader:
         elif match is None and self._plain[place:end].strip().startswith("%"):
             self._no_word()
         else:
-            raise NotUnderstood(place, "IF has neither THEN nor a statement")
+            raise MalformedStatement(place, "IF has neither THEN nor a statement")
         self._add(Choice((tuple(self._close("one-line if").body), ())))
 
     def _behind_expression(self, place: int, end: int) -> int:
@@ -531,7 +533,7 @@ class _RoutineReader:
             else:
                 operand = OPERAND.match(self._plain, place, end)
                 if operand is None:
-                    raise NotUnderstood(place, "no expression of RAPID stands here")
+                    raise MalformedStatement(place, "no expression of RAPID stands here")
                 place = operand.end()
             while (part := BEHIND.match(self._plain, place, end)) is not None:
                 place = self._behind_bracket(part.start(1)) if part.group(1) else part.end()
@@ -543,17 +545,17 @@ class _RoutineReader:
     def _behind_bracket(self, place: int) -> int:
         end = self._code.closing(place)
         if end < 0:
-            raise NotUnderstood(place, "a bracket has no end")
+            raise MalformedStatement(place, "a bracket has no end")
         return end + 1
 
     def _elseif(self, start: int) -> None:
         block = self._open[-1]
         if block.word != "if" or block.all:
-            raise NotUnderstood(start, "ELSEIF has no IF")
+            raise MalformedStatement(start, "ELSEIF has no IF")
         begin = self._reader.place
         end, word = self._until(THEN, "THEN")
         if word == ";":
-            raise NotUnderstood(start, "ELSEIF has no THEN")
+            raise MalformedStatement(start, "ELSEIF has no THEN")
         self._next_way()
         self._read_expression(begin, end)
         self._reader.place = end + len(word)
@@ -566,7 +568,7 @@ class _RoutineReader:
     def _else(self, start: int) -> None:
         block = self._open[-1]
         if block.word != "if" or block.all:
-            raise NotUnderstood(start, "ELSE has no IF")
+            raise MalformedStatement(start, "ELSE has no IF")
         self._next_way()
         block.all = True
 
@@ -581,7 +583,7 @@ class _RoutineReader:
         begin = self._reader.place
         end, word = self._until(DO, "DO")
         if word == ";":
-            raise NotUnderstood(start, "WHILE has no DO")
+            raise MalformedStatement(start, "WHILE has no DO")
         self._begin("while", start, once=self._plain[begin:end].strip().lower() == "true")
         self._read_expression(begin, end)
         self._reader.place = end + len(word)
@@ -597,7 +599,7 @@ class _RoutineReader:
         end, word = self._until(DO, "DO")
         match = LOOP.fullmatch(self._plain, begin, end) if word != ";" else None
         if match is None:
-            raise NotUnderstood(start, "FOR has no FROM, TO and DO")
+            raise MalformedStatement(start, "FOR has no FROM, TO and DO")
         last = re.split(r"(?i)\bSTEP\b", match.group(3))
         self._read_expression(match.start(2), match.end(2))
         self._read_expression(match.start(3), match.start(3) + len(last[0]))
@@ -611,7 +613,7 @@ class _RoutineReader:
         begin = self._reader.place
         end, word = self._until(CASES, "ENDTEST")
         if word == ";":
-            raise NotUnderstood(start, "TEST has no CASE")
+            raise MalformedStatement(start, "TEST has no CASE")
         self._read_expression(begin, end)
         self._reader.place = end
         self._begin("test", start)
@@ -621,7 +623,7 @@ class _RoutineReader:
         end, word = self._until(COLON, "the colon of CASE")
         block = self._open[-1]
         if block.word != "test" or word == ";" or block.all:
-            raise NotUnderstood(start, "CASE stands in no TEST")
+            raise MalformedStatement(start, "CASE stands in no TEST")
         self._next_way()
         self._read_expression(begin, end)
         self._reader.place = end + 1
@@ -630,7 +632,7 @@ class _RoutineReader:
         end, word = self._until(COLON, "the colon of DEFAULT")
         block = self._open[-1]
         if block.word != "test" or word == ";" or block.all or self._plain[self._reader.place : end].strip():
-            raise NotUnderstood(start, "DEFAULT stands in no TEST")
+            raise MalformedStatement(start, "DEFAULT stands in no TEST")
         self._next_way()
         block.all = True
         self._reader.place = end + 1
@@ -638,7 +640,7 @@ class _RoutineReader:
     def _endtest(self, start: int) -> None:
         block = self._close("test")
         if block.ways and block.ways[0]:
-            raise NotUnderstood(start, "a statement stands before the first CASE")
+            raise MalformedStatement(start, "a statement stands before the first CASE")
         block.ways = block.ways[1:]
         self._add_choice(block)
 
@@ -670,7 +672,7 @@ class _RoutineReader:
         match = WORD.match(self._plain, self._reader.place)
         end = self._reader._semicolon(self._reader.place)
         if match is None or self._plain[match.end() : end].strip():
-            raise NotUnderstood(start, "GOTO has no label")
+            raise MalformedStatement(start, "GOTO has no label")
         self._add(Jump(fold(match.group(1))))
         self._reader.place = end + 1
 
@@ -678,7 +680,7 @@ class _RoutineReader:
         end = self._reader._semicolon(start)
         words = re.split(r"(?i)\s+WITH\s+", self._plain[self._reader.place : end])
         if len(words) != 2:
-            raise NotUnderstood(start, "CONNECT has no WITH")
+            raise MalformedStatement(start, "CONNECT has no WITH")
         self._add(Step(Statement("connect", start, end, fold(words[1].strip()), end, self._loops())))
         self._reader.place = end + 1
 
@@ -687,7 +689,7 @@ class _RoutineReader:
         assert match is not None
         name, sign = fold(match.group(1)), match.group(3)
         if name in RESERVED:
-            raise NotUnderstood(start, f"{name.upper()} does not belong here")
+            raise MalformedStatement(start, f"{name.upper()} does not belong here")
         if sign == ":" and not match.group(2):
             self._add(Mark(name))
             self._reader.place = match.end()
@@ -717,12 +719,12 @@ def _counts(first: str, last: str) -> bool:
     return WHOLE.fullmatch(first) is not None and WHOLE.fullmatch(last) is not None and int(first) <= int(last)
 
 
-def _once(every: Iterable[Declared | Routine]) -> None:
+def _once(every: Iterable[DataDeclaration | Routine]) -> None:
     """Make sure that no name is declared twice."""
     names: set[str] = set()
     for own in every:
         if fold(own.name) in names:
-            raise NotUnderstood(own.place, f"{own.name} is declared twice")
+            raise MalformedStatement(own.place, f"{own.name} is declared twice")
         names.add(fold(own.name))
 
 

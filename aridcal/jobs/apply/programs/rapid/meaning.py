@@ -10,20 +10,20 @@ from typing import NamedTuple
 
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.frames import absent
-from aridcal.jobs.apply.programs.project import Source
+from aridcal.jobs.apply.programs.project import SourceFile
 from aridcal.jobs.apply.programs.rapid.expressions import STEP, Constant, Expressions, Value, part_of, with_part
 from aridcal.jobs.apply.programs.rapid.grammar import Statement, fold
 from aridcal.jobs.apply.programs.rapid.names import (
     BARE,
     INSTRUCTIONS,
     Arguments,
-    Bound,
+    BoundRoutine,
     Names,
     arguments,
     calls,
     late,
     matched,
-    named,
+    quoted_name,
 )
 from aridcal.jobs.apply.programs.rapid.points import Targets
 from aridcal.jobs.apply.programs.rapid.table import (
@@ -65,8 +65,8 @@ from aridcal.jobs.apply.programs.walk import (
     Leave,
     Mark,
     Node,
+    ProgramState,
     Repeat,
-    State,
     Step,
     Unknown,
 )
@@ -85,7 +85,7 @@ GUARDED = "!"
 FIRST = re.compile(r"\s*(\[\s*\[[^][]*\]\s*(?:,\s*\[[^][]*\]\s*)*\]|[A-Za-z_]\w*)\s*,(.*)", re.DOTALL)
 """Arguments of a move that goes to its first one, and all that stands behind it."""
 
-Work = Callable[[State], None]
+Work = Callable[[ProgramState], None]
 
 
 NOWHERE = (0, 0)
@@ -96,7 +96,7 @@ class _Prepared(NamedTuple):
     """A move, ready to be carried out, where it starts in the text."""
 
     start: int
-    bound: Bound
+    bound: BoundRoutine
     move: Move
     points: tuple[tuple[Value, tuple[int, int], Sequence[Value]], ...]
     tool: Value
@@ -129,7 +129,7 @@ class Meaning:
 
     names: Names
     cell: Cell
-    sources: tuple[Source, ...]
+    sources: tuple[SourceFile, ...]
     ledger: Ledger[Literal] = field(default_factory=Ledger)
     bodies: dict[str, Body] = field(default_factory=dict)
     _literals: list[Literal] = field(default_factory=list)
@@ -172,7 +172,7 @@ class Meaning:
             home = self.names.home(datum)
             why = f"{self.names.line(datum.code, datum.declared.place)} sets {datum.declared.name} from it"
             for mentioned in self.expressions.mentioned(home, *datum.code.trimmed(start, end)):
-                self._spoil_all(points_of(mentioned(State())), why)
+                self._spoil_all(points_of(mentioned(ProgramState())), why)
 
     def _spoil_all(self, literals: Iterable[Literal], why: str) -> None:
         for own in literals:
@@ -185,7 +185,7 @@ class Meaning:
 
     # ---- routines for the walk
 
-    def _routine(self, bound: Bound, guarded: bool) -> list[Node]:
+    def _routine(self, bound: BoundRoutine, guarded: bool) -> list[Node]:
         body = self._body(bound, bound.routine.body, guarded or bound.routine.goes_on)
         if not bound.routine.handlers:
             return body
@@ -195,7 +195,7 @@ class Meaning:
         ]
         return [Choice(((), *handlers)), *body]
 
-    def _body(self, bound: Bound, body: Body, guarded: bool, ends: bool = False) -> list[Node]:
+    def _body(self, bound: BoundRoutine, body: Body, guarded: bool, ends: bool = False) -> list[Node]:
         """A body with its statements prepared.
 
         Args:
@@ -220,7 +220,7 @@ class Meaning:
                 nodes.append(node)
         return nodes
 
-    def _statement(self, bound: Bound, statement: Statement, guarded: bool) -> list[Node]:
+    def _statement(self, bound: BoundRoutine, statement: Statement, guarded: bool) -> list[Node]:
         nodes: list[Node] = []
         for name, start, end in calls(bound.code, statement.body, statement.end):
             nodes += self._function(bound, statement, name, arguments(bound.code, start, end), guarded)
@@ -239,7 +239,7 @@ class Meaning:
     def _only_moves(self, statement: Statement) -> bool:
         return statement.kind == "read" or (statement.kind == "call" and statement.name in MOVES)
 
-    def _call(self, bound: Bound, statement: Statement, guarded: bool) -> list[Node]:
+    def _call(self, bound: BoundRoutine, statement: Statement, guarded: bool) -> list[Node]:
         if self._usual and statement.kind == "call" and statement.name in MOVES:
             like = self._usual_move(bound, statement)
             if like is not None:
@@ -266,7 +266,7 @@ class Meaning:
             nodes.append(Step(partial(self._unsteady, f"{self._line(bound, statement)} moves the arm")))
         return nodes
 
-    def _late(self, bound: Bound, statement: Statement, given: Arguments, guarded: bool) -> list[Node]:
+    def _late(self, bound: BoundRoutine, statement: Statement, given: Arguments, guarded: bool) -> list[Node]:
         prefix, _, whole = late(bound.code, statement)
         if whole and prefix:
             key = self.names.routine(bound.module, prefix)
@@ -277,7 +277,7 @@ class Meaning:
         return [Choice(tuple((self._to_routine(bound, statement, prefix, key, given, guarded),) for key in keys))]
 
     def _to_routine(
-        self, bound: Bound, statement: Statement, name: str, key: str | None, given: Arguments, guarded: bool
+        self, bound: BoundRoutine, statement: Statement, name: str, key: str | None, given: Arguments, guarded: bool
     ) -> Node:
         callee = self.names.routines.get(key) if key is not None else None
         line = self._line(bound, statement)
@@ -299,7 +299,9 @@ class Meaning:
             _Given(line, tuple(parameters), tuple(mentioned), name),
         )
 
-    def _argument(self, bound: Bound, statement: Statement, parameter: Datum, span: tuple[int, int]) -> Value | Datum:
+    def _argument(
+        self, bound: BoundRoutine, statement: Statement, parameter: Datum, span: tuple[int, int]
+    ) -> Value | Datum:
         if parameter.declared.storage in ("var", "pers", "inout"):
             match = BARE.fullmatch(bound.code.plain, *span)
             name = fold(match.group(1)) if match else ""
@@ -311,10 +313,12 @@ class Meaning:
             return self._destination(bound, statement, span, parameter.type == "robtarget")
         return self.expressions.compile(bound, *span, statement.loops)
 
-    def _destination(self, bound: Bound, statement: Statement, span: tuple[int, int], pose: bool) -> Value:
+    def _destination(self, bound: BoundRoutine, statement: Statement, span: tuple[int, int], pose: bool) -> Value:
         return self.expressions.destination(bound, *span, "pose" if pose else "joints", statement.loops)
 
-    def _function(self, bound: Bound, statement: Statement, name: str, given: Arguments, guarded: bool) -> list[Node]:
+    def _function(
+        self, bound: BoundRoutine, statement: Statement, name: str, given: Arguments, guarded: bool
+    ) -> list[Node]:
         key = self.names.routine(bound.module, name)
         if key is None and name in FUNCTIONS:
             if name not in WRITING_FUNCTIONS:
@@ -324,23 +328,23 @@ class Meaning:
 
     # ---- statements
 
-    def _line(self, bound: Bound, statement: Statement) -> str:
+    def _line(self, bound: BoundRoutine, statement: Statement) -> str:
         return self.names.line(bound.code, statement.start)
 
-    def _mentioned(self, bound: Bound, statement: Statement, span: tuple[int, int]) -> list[Value]:
+    def _mentioned(self, bound: BoundRoutine, statement: Statement, span: tuple[int, int]) -> list[Value]:
         return self.expressions.mentioned(bound, *span, statement.loops)
 
-    def _reading(self, bound: Bound, statement: Statement, spans: Iterable[tuple[int, int]]) -> list[Node]:
+    def _reading(self, bound: BoundRoutine, statement: Statement, spans: Iterable[tuple[int, int]]) -> list[Node]:
         mentioned = [value for span in spans for value in self._mentioned(bound, statement, span)]
         why = f"{self._line(bound, statement)} computes with it"
         return [Step(partial(self._spoil, mentioned, why))] if mentioned else []
 
-    def _spoil(self, mentioned: Iterable[Value], why: str, state: State) -> None:
+    def _spoil(self, mentioned: Iterable[Value], why: str, state: ProgramState) -> None:
         if state.recording:
             for value in mentioned:
                 self._spoil_all(points_of(value(state)), why)
 
-    def _writing(self, bound: Bound, spans: Iterable[tuple[int, int]], why: str) -> list[Node]:
+    def _writing(self, bound: BoundRoutine, spans: Iterable[tuple[int, int]], why: str) -> list[Node]:
         nodes: list[Node] = []
         for span in spans:
             match = BARE.fullmatch(bound.code.plain, *span)
@@ -351,7 +355,7 @@ class Meaning:
                 nodes.append(Step(partial(self._set, datum, (), Constant(Unknown(why)))))
         return nodes
 
-    def _assignment(self, bound: Bound, statement: Statement) -> list[Node]:
+    def _assignment(self, bound: BoundRoutine, statement: Statement) -> list[Node]:
         code, name = bound.code, statement.name
         datum = None if name in statement.loops else bound.scope.datum(name)
         line = self._line(bound, statement)
@@ -382,7 +386,7 @@ class Meaning:
             value = self.expressions.compile(bound, *span, statement.loops)
         return [*nodes, Step(partial(self._set, datum, place, value))]
 
-    def _place(self, bound: Bound, statement: Statement, datum: Datum, path: str) -> tuple[int, ...] | None:
+    def _place(self, bound: BoundRoutine, statement: Statement, datum: Datum, path: str) -> tuple[int, ...] | None:
         """Which part of data is assigned to, counted from 1; None where that is worked out."""
         match = BARE.match(path)
         step = STEP.match(path, match.end(1)) if match is not None else None
@@ -396,11 +400,11 @@ class Meaning:
         begin = statement.start + step.start(1)
         spans = bound.code.arguments(begin, begin + len(step.group(1)))
         values = [self.expressions.compile(bound, *span, statement.loops) for span in spans]
-        numbers = [value(State()) for value in values if isinstance(value, Constant)]
+        numbers = [value(ProgramState()) for value in values if isinstance(value, Constant)]
         whole = tuple(int(n) for n in numbers if isinstance(n, float) and n.is_integer())
         return whole if len(whole) == len(spans) else None
 
-    def _set(self, datum: Datum, place: tuple[int, ...] | None, value: Value, state: State) -> None:
+    def _set(self, datum: Datum, place: tuple[int, ...] | None, value: Value, state: ProgramState) -> None:
         """Give data, or a part of it, a value; also what a parameter stands for."""
         new = value(state)
         while isinstance(below := state.get("data", datum.address), Alias) and below.datum is not datum:
@@ -416,7 +420,7 @@ class Meaning:
             new = with_part(self.expressions.value(datum, state), place, new)
         state.set("data", datum.address, new)
 
-    def _mode(self, bound: Bound, statement: Statement, given: Arguments) -> Node:
+    def _mode(self, bound: BoundRoutine, statement: Statement, given: Arguments) -> Node:
         mode, how = MODES[statement.name]
         word = bound.code.text[statement.start : statement.start + len(statement.name)]
         line = f"{self._line(bound, statement)} ({word}) {WHY[mode]}"
@@ -432,26 +436,28 @@ class Meaning:
         elif how == "argument" and len(given.required) == 1 and not given.options:
             frame = self.expressions.compile(bound, *given.required[0], statement.loops)
 
-            def value(state: State) -> object:
+            def value(state: ProgramState) -> object:
                 return transform(frame(state)) or Unknown(line)
 
         return Step(partial(self._set_mode, mode, value))
 
-    def _set_mode(self, mode: str, value: Value, state: State) -> None:
+    def _set_mode(self, mode: str, value: Value, state: ProgramState) -> None:
         state.set("mode", mode, value(state))
 
-    def _forget_all(self, why: str, state: State) -> None:
+    def _forget_all(self, why: str, state: ProgramState) -> None:
         state.forget_all(why)
 
-    def _at_any_time(self, why: str, state: State) -> None:
+    def _at_any_time(self, why: str, state: ProgramState) -> None:
         state.volatile([EVERYTHING], why)
 
-    def _unsteady(self, why: str, state: State) -> None:
+    def _unsteady(self, why: str, state: ProgramState) -> None:
         state.forget(*STANCE, why)
 
     # ---- moves
 
-    def _move(self, bound: Bound, statement: Statement, move: Move, given: Arguments, guarded: bool) -> list[Node]:
+    def _move(
+        self, bound: BoundRoutine, statement: Statement, move: Move, given: Arguments, guarded: bool
+    ) -> list[Node]:
         required, loops = given.required, statement.loops
         line = self._line(bound, statement)
         why = move.why and f"{line}: {move.why}"
@@ -482,7 +488,7 @@ class Meaning:
         nodes.append(Step(prepared))
         nodes += self._writing(bound, [required[k] for k in move.written if k < len(required)], f"{line} may change it")
         if move.routine is not None and move.routine < len(required):
-            name = named(bound.code, required[move.routine])
+            name = quoted_name(bound.code, required[move.routine])
             key = self.names.routine(bound.module, name)
             nodes.append(self._to_routine(bound, statement, name, key, Arguments(), guarded))
         return nodes
@@ -497,7 +503,7 @@ class Meaning:
         if match is not None and frames and move.points == (0,) and not move.written and move.routine is None:
             self._usual[bound.key, statement.name, match.group(2)] = prepared
 
-    def _usual_move(self, bound: Bound, statement: Statement) -> list[Node] | None:
+    def _usual_move(self, bound: BoundRoutine, statement: Statement) -> list[Node] | None:
         """The node of a move that says the same behind its first argument as one before; None where none did."""
         match = FIRST.match(bound.code.plain, statement.body, statement.end)
         like = self._usual.get((bound.key, statement.name, match.group(2))) if match is not None else None
@@ -508,7 +514,7 @@ class Meaning:
         return [Step(prepared)]
 
     def _goal(
-        self, bound: Bound, statement: Statement, span: tuple[int, int], pose: bool
+        self, bound: BoundRoutine, statement: Statement, span: tuple[int, int], pose: bool
     ) -> tuple[Value, tuple[int, int], Sequence[Value]]:
         """Where a move goes; of a place that is no plain point where that stands, and targets that it is worked out from."""
         value = self._destination(bound, statement, span, pose)
@@ -516,7 +522,7 @@ class Meaning:
             return value, NOWHERE, ()
         return value, span, self._mentioned(bound, statement, span)
 
-    def _go(self, prepared: _Prepared, state: State) -> None:
+    def _go(self, prepared: _Prepared, state: ProgramState) -> None:
         way = prepared.move.way
         for value, span, mentioned in prepared.points:
             goal = value(state)
@@ -534,25 +540,25 @@ class Meaning:
                 self._spoil(mentioned, self._why_spoilt(prepared), state)
             self._stand(prepared, goal, state)
 
-    def _send_outside(self, prepared: _Prepared, goal: object, state: State) -> None:
+    def _send_outside(self, prepared: _Prepared, goal: object, state: ProgramState) -> None:
         """Note where a move sends external axes that the robot of the calibration does not have."""
         line = self.names.line(prepared.bound.code, prepared.start)
         if not isinstance(goal, Point) or goal.literal.why:
             state.forget(*OUTSIDE, f"{line} moves them to a place that is worked out")
             return
-        told = self._outside(goal.literal)
-        if told:
-            axis = "abcdef"[next(iter(told))]
-            moved = any(told.values())
+        axis_values = self._outside(goal.literal)
+        if axis_values:
+            axis = "abcdef"[next(iter(axis_values))]
+            any_moves = any(axis_values.values())
             why = f"{line} tells external axis eax_{axis} a place, and the URDF does not have that axis"
-            state.set(*OUTSIDE, why if moved else "")
+            state.set(*OUTSIDE, why if any_moves else "")
 
     def _outside(self, own: Literal) -> Mapping[int, float]:
         """Places of external axes that the robot of the calibration does not have, by their index, zeros last."""
         if own.why:
             return {}
         first = own.code.plain.rfind("[", own.start, own.end) + 1
-        return told_outside(own.code.plain[first : own.end], len(self.cell.axes.external))
+        return external_axes(own.code.plain[first : own.end], len(self.cell.axes.external))
 
     def _why_spoilt(self, prepared: _Prepared) -> str:
         return f"{self.names.line(prepared.bound.code, prepared.start)} works out another place from it"
@@ -573,7 +579,7 @@ class Meaning:
         name = " ".join(code.text[slice(*span)].split())
         self.ledger.leave(Target(line, name, "pose" if form == "pose" else "joints", NONE, why, file=code.file))
 
-    def _use(self, prepared: _Prepared, goal: Point, state: State) -> None:
+    def _use(self, prepared: _Prepared, goal: Point, state: ProgramState) -> None:
         own = goal.literal
         if not self.sources[own.code.file].ours and not self.sources[prepared.bound.code.file].ours:
             return
@@ -603,7 +609,7 @@ class Meaning:
         unknown = stance.why if isinstance(stance, Unknown) else ""
         self.ledger.go(own.key, Use(line, base, tool, aside, why or trouble, unknown=unknown, mode=mode))
 
-    def _in_the_way(self, prepared: _Prepared, own: Literal, state: State) -> str:
+    def _in_the_way(self, prepared: _Prepared, own: Literal, state: ProgramState) -> str:
         """Why a mode leaves the target as it is; empty where none does."""
         if self._calm:
             return ""
@@ -620,7 +626,7 @@ class Meaning:
             return _said("wrist", wrist)
         return ""
 
-    def _mode_of(self, prepared: _Prepared, own: Literal, state: State) -> tuple[str, str]:
+    def _mode_of(self, prepared: _Prepared, own: Literal, state: ProgramState) -> tuple[str, str]:
         """Whether confdata decides of the arm's configuration, and why that is not known."""
         if own.form != "pose":
             return "", ""
@@ -629,7 +635,7 @@ class Meaning:
             return "", _said("confl", value)
         return str(value), ""
 
-    def _stand(self, prepared: _Prepared, goal: object, state: State) -> None:
+    def _stand(self, prepared: _Prepared, goal: object, state: ProgramState) -> None:
         """Where the arm stands behind a move."""
         way = prepared.move.way
         if way == "E":
@@ -644,12 +650,12 @@ class Meaning:
                 *STANCE, f"it is not known where the arm comes from: {line} moves to a place that is worked out"
             )
 
-    def _decided(self, prepared: _Prepared, own: Literal, state: State) -> bool:
+    def _decided(self, prepared: _Prepared, own: Literal, state: ProgramState) -> bool:
         return self._mode_of(prepared, own, state) == ("on", "")
 
     # ---- the walk's questions
 
-    def step(self, what: object, state: State) -> None:
+    def step(self, what: object, state: ProgramState) -> None:
         """Carry out a statement."""
         if isinstance(what, _Prepared):  # most are: a long program has no room for a callable of each
             self._go(what, state)
@@ -657,7 +663,7 @@ class Meaning:
         assert callable(what)
         what(state)
 
-    def enter(self, what: object, name: str, state: State) -> None:
+    def enter(self, what: object, name: str, state: ProgramState) -> None:
         """Set parameters and own data."""
         bound = self.names.routines.get(name.removesuffix(GUARDED).removesuffix(" handlers"))
         if bound is None:
@@ -668,7 +674,7 @@ class Meaning:
             if not self.expressions.steady(datum):
                 self._set(datum, (), Constant(self.expressions.declared(datum)), state)
 
-    def _pass(self, given: _Given, state: State) -> None:
+    def _pass(self, given: _Given, state: ProgramState) -> None:
         for parameter, value in given.parameters:
             if isinstance(value, Datum):
                 state.set("data", parameter.address, Alias(value))
@@ -683,14 +689,14 @@ class Meaning:
                     if own not in kept:
                         self._spoil_all([own], f"{given.line} works out another place from it")
 
-    def leave(self, what: object, name: str, state: State) -> None:
+    def leave(self, what: object, name: str, state: ProgramState) -> None:
         """Drop parameters and own data."""
         bound = self.names.routines.get(name.removesuffix(GUARDED).removesuffix(" handlers"))
         for datum in (*bound.parameters, *bound.data) if bound is not None else ():
             for address in datum.addresses:
                 state.drop("data", address)
 
-    def absent(self, what: object, name: str, state: State) -> None:
+    def absent(self, what: object, name: str, state: ProgramState) -> None:
         """A routine that is in no given file changes what it may."""
         assert isinstance(what, _Given)
         shown = what.name or "a routine whose name is worked out"
@@ -700,7 +706,7 @@ class Meaning:
 
     # ---- the beginning
 
-    def begin(self, state: State) -> None:
+    def begin(self, state: ProgramState) -> None:
         """A program's start."""
         self._lose_data(state)
         for mode, value in DEFAULTS.items():
@@ -711,12 +717,12 @@ class Meaning:
         else:
             state.forget(*STANCE, START)
 
-    def end_cycle(self, state: State) -> None:
+    def end_cycle(self, state: ProgramState) -> None:
         """Main begins anew: what no given file changes is as the controller has it (what is not given is told of by a note)."""
         for mode in DEFAULTS.keys() - self.names.stepped:
             state.set("mode", mode, DEFAULTS[mode])
 
-    def anywhere(self, state: State) -> None:
+    def anywhere(self, state: ProgramState) -> None:
         """Any place of the program: of an error handler, for instance."""
         for mode in DEFAULTS if self.names.unknown_calls else sorted(self.names.stepped):
             state.forget("mode", mode, self.names.unknown_calls or "it is changed elsewhere in the program")
@@ -724,7 +730,7 @@ class Meaning:
         state.forget(*OUTSIDE, "they may have been moved before")
         self._lose_data(state)
 
-    def _lose_data(self, state: State) -> None:
+    def _lose_data(self, state: ProgramState) -> None:
         """Data that anything changes keeps its value when the program begins anew."""
         for datum in self.names.data:
             if not self.expressions.steady(datum):
@@ -733,7 +739,7 @@ class Meaning:
 
 
 @lru_cache(maxsize=64)
-def told_outside(text: str, own: int) -> Mapping[int, float]:
+def external_axes(text: str, own: int) -> Mapping[int, float]:
     """Places of external axes in a target's last brackets, but for those of the robot's own, by their index, zeros last."""
     texts = text.rstrip("] \t\r\n").split(",")
     places = [(k, float(place)) for k, place in enumerate(texts) if k >= own]

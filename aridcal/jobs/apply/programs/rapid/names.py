@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from aridcal.jobs.apply.programs.frames import absent
-from aridcal.jobs.apply.programs.rapid.grammar import NAME, Declared, Module, Routine, Statement, bodies, fold
+from aridcal.jobs.apply.programs.rapid.grammar import NAME, DataDeclaration, Module, Routine, Statement, bodies, fold
 from aridcal.jobs.apply.programs.rapid.table import (
     FUNCTIONS,
     MODES,
@@ -32,7 +32,7 @@ INSTRUCTIONS = frozenset({"exitcycle"}) | READING | WRITING | WILD | UNSTEADY | 
 
 
 @dataclass
-class Bound:
+class BoundRoutine:
     """A routine with what its names mean.
 
     Attributes:
@@ -169,7 +169,7 @@ class Names:
 
     codes: tuple[Code, ...]
     harmless: frozenset[str]
-    routines: dict[str, Bound] = field(default_factory=dict)
+    routines: dict[str, BoundRoutine] = field(default_factory=dict)
     stepped: set[str] = field(default_factory=set)
     scattered: str = ""
     unknown_calls: str = ""
@@ -181,7 +181,7 @@ class Names:
     _twice: set[str] = field(default_factory=set)
     _edges: list[tuple[Datum, Datum]] = field(default_factory=list)
     _all: list[Datum] = field(default_factory=list)
-    _homes: dict[str, Bound] = field(default_factory=dict)
+    _homes: dict[str, BoundRoutine] = field(default_factory=dict)
     _prepared: dict[int, Arguments] = field(default_factory=dict)
 
     def read(self, modules: Sequence[Module]) -> None:
@@ -189,7 +189,7 @@ class Names:
         scopes = self._declare(modules)
         for index, module in enumerate(modules):
             nothing = Routine("", "proc", True, 0)
-            self._homes[f"{index}"] = Bound("", module, nothing, scopes[index], [], [])
+            self._homes[f"{index}"] = BoundRoutine("", module, nothing, scopes[index], [], [])
             for routine in module.routines:
                 self._bind(index, module, routine, scopes[index])
         for bound in self.routines.values():
@@ -203,7 +203,7 @@ class Names:
         """Data of all modules and routines, without parameters."""
         return self._all
 
-    def home(self, datum: Datum) -> Bound:
+    def home(self, datum: Datum) -> BoundRoutine:
         """What the names beside the declaration of data mean."""
         return self.routines[datum.owner] if datum.owner else self._homes[datum.address[0]]
 
@@ -220,14 +220,14 @@ class Names:
 
     def begin_with(self, module: Module, prefix: str) -> list[str]:
         """Keys of all procedures that a module sees and whose names begin like this."""
-        seen = {**self._globals, **{name: key for (owner, name), key in self._calls.items() if owner == id(module)}}
+        scope = {**self._globals, **{name: key for (owner, name), key in self._calls.items() if owner == id(module)}}
         return [
             key
-            for name, key in seen.items()
+            for name, key in scope.items()
             if name.startswith(prefix) and name not in self._twice and self.routines[key].routine.kind == "proc"
         ]
 
-    def arguments(self, bound: Bound, statement: Statement) -> Arguments:
+    def arguments(self, bound: BoundRoutine, statement: Statement) -> Arguments:
         """Arguments of a call."""
         given = self._prepared.get(id(statement))
         if given is None:
@@ -237,7 +237,7 @@ class Names:
                 self._prepared[id(statement)] = given
         return given
 
-    def _is_plain_move(self, bound: Bound, statement: Statement) -> bool:
+    def _is_plain_move(self, bound: BoundRoutine, statement: Statement) -> bool:
         """Whether a statement is a move of the controller's own that changes no data and calls nothing."""
         move = MOVES.get(statement.name) if statement.kind == "call" else None
         if move is None or move.written or move.routine is not None:
@@ -267,7 +267,7 @@ class Names:
         self._aliases = aliases
         return [Scope((own, everywhere)) for own in levels]
 
-    def _datum(self, declared: Declared, code: Code, owner: str, aliases: dict[str, str]) -> Datum:
+    def _datum(self, declared: DataDeclaration, code: Code, owner: str, aliases: dict[str, str]) -> Datum:
         kind = declared.type
         for _ in aliases:
             kind = aliases.get(kind, kind)
@@ -286,13 +286,13 @@ class Names:
             datum.owner = key
         for datum in parameters:
             datum.parameter = True
-        self.routines[key] = Bound(key, module, routine, Scope((own, *scope.levels)), parameters, data)
+        self.routines[key] = BoundRoutine(key, module, routine, Scope((own, *scope.levels)), parameters, data)
         self._calls[id(module), name] = key
         if not routine.local:
             self._twice |= {name} if name in self._globals else set()
             self._globals[name] = key
 
-    def _look(self, bound: Bound, statement: Statement) -> None:
+    def _look(self, bound: BoundRoutine, statement: Statement) -> None:
         """What a statement may change, for the whole project."""
         code = bound.code
         why = f"{self.line(code, statement.start)} changes it"
@@ -306,11 +306,11 @@ class Names:
         for name, start, end in calls(code, statement.body, statement.end):
             self._look_at_function(bound, name, arguments(code, start, end), why)
 
-    def missing_trap(self, bound: Bound, statement: Statement) -> bool:
+    def missing_trap(self, bound: BoundRoutine, statement: Statement) -> bool:
         """Whether no given file has the routine that a `CONNECT` names."""
         return self.routine(bound.module, statement.name) not in self.routines and statement.name not in self.harmless
 
-    def _look_at_call(self, bound: Bound, statement: Statement, why: str) -> None:
+    def _look_at_call(self, bound: BoundRoutine, statement: Statement, why: str) -> None:
         if self._is_plain_move(bound, statement):
             return
         given, name = self.arguments(bound, statement), statement.name
@@ -319,8 +319,8 @@ class Names:
             keys = self.begin_with(bound.module, prefix) if prefix else []
             if prefix and whole:
                 keys = [key for key in keys if key.split(" ", 1)[1] == prefix]
-            for named in keys:
-                self._pass_on(bound, self.routines[named], given, why)
+            for parameter in keys:
+                self._pass_on(bound, self.routines[parameter], given, why)
             if not keys and not (whole and prefix in self.harmless):
                 if not whole:
                     self.scattered = self.scattered or f"{why[:-11]} calls a procedure by a worked out name"
@@ -334,7 +334,7 @@ class Names:
         elif name not in self.harmless:
             self._scatter(bound, given, why, absent(name))
 
-    def _look_at_instruction(self, bound: Bound, name: str, given: Arguments, why: str) -> None:
+    def _look_at_instruction(self, bound: BoundRoutine, name: str, given: Arguments, why: str) -> None:
         self.cut_short |= name == "exitcycle"
         if name in WRITING:
             for span in given.spans:
@@ -345,7 +345,7 @@ class Names:
                     self._change_span(bound, given.required[k], why)
             routine = MOVES[name].routine
             if routine is not None and routine < len(given.required):
-                self._look_at_named(bound, named(bound.code, given.required[routine]), why)
+                self._look_at_named(bound, quoted_name(bound.code, given.required[routine]), why)
         if name in MODES and MODES[name][1] != "default":
             self.stepped.add(MODES[name][0])
         if name in WILD:
@@ -354,7 +354,7 @@ class Names:
                 self.scattered = self.scattered or f"{why[:-11]} calls a procedure by a worked out name"
             self._change_all(f"{why[:-11]} may change all data ({name})", local=True)
 
-    def _look_at_named(self, bound: Bound, name: str, why: str) -> None:
+    def _look_at_named(self, bound: BoundRoutine, name: str, why: str) -> None:
         """A move calls a procedure that a text names."""
         key = self.routine(bound.module, name)
         if key is not None and key in self.routines:
@@ -373,7 +373,7 @@ class Names:
             if not datum.owner and datum.declared.storage != "const" and (local or not datum.declared.local):
                 self._change_whole(datum, why)
 
-    def _look_at_function(self, bound: Bound, name: str, given: Arguments, why: str) -> None:
+    def _look_at_function(self, bound: BoundRoutine, name: str, given: Arguments, why: str) -> None:
         key = self.routine(bound.module, name)
         if key is not None and key in self.routines:
             self._pass_on(bound, self.routines[key], given, why)
@@ -384,14 +384,14 @@ class Names:
         elif name not in self.harmless:
             self._scatter(bound, given, why, absent(name))
 
-    def _scatter(self, bound: Bound, given: Arguments, why: str, reason: str) -> None:
+    def _scatter(self, bound: BoundRoutine, given: Arguments, why: str, reason: str) -> None:
         """A routine that is not known may change what it is given, and all that it sees."""
         self.unknown_calls = self.unknown_calls or reason
         for span in given.spans:
             self._change_span(bound, span, why)
         self._change_all(reason, local=False)
 
-    def _pass_on(self, bound: Bound, callee: Bound, given: Arguments, why: str) -> None:
+    def _pass_on(self, bound: BoundRoutine, callee: BoundRoutine, given: Arguments, why: str) -> None:
         """What the routine changes of its parameters, it changes of the data that they stand for."""
         if callee is not bound:
             self.called.add(callee.key)
@@ -402,12 +402,12 @@ class Names:
                 if datum is not None:
                     self._edges.append((parameter, datum))
 
-    def _change_span(self, bound: Bound, span: tuple[int, int], why: str) -> None:
+    def _change_span(self, bound: BoundRoutine, span: tuple[int, int], why: str) -> None:
         match = BARE.fullmatch(bound.code.plain, *span)
         if match is not None:
             self._change(bound, fold(match.group(1)), why)
 
-    def _change(self, bound: Bound, name: str, why: str, path: str = "") -> None:
+    def _change(self, bound: BoundRoutine, name: str, why: str, path: str = "") -> None:
         """Data may be changed, or a part of it."""
         datum = bound.scope.datum(name)
         if datum is None or datum.declared.storage == "const":
@@ -436,7 +436,7 @@ class Names:
                     waiting.append(datum)
 
 
-def matched(callee: Bound, given: Arguments) -> Iterator[tuple[Datum, tuple[int, int] | None]]:
+def matched(callee: BoundRoutine, given: Arguments) -> Iterator[tuple[Datum, tuple[int, int] | None]]:
     """Each parameter of a routine with what is given for it; None where nothing is."""
     required = iter(given.required)
     for parameter in callee.parameters:
@@ -471,7 +471,7 @@ def late(code: Code, statement: Statement) -> tuple[str, int, bool]:
     return (fold(text) if whole or match.group(1) else ""), end + 1, whole
 
 
-def named(code: Code, span: tuple[int, int]) -> str:
+def quoted_name(code: Code, span: tuple[int, int]) -> str:
     """The name that a text in quotes says, in small letters; empty where it is worked out."""
     text = code.text[slice(*span)].strip()
     plain = len(text) > 2 and text[0] == text[-1] == '"' and text.count('"') == 2

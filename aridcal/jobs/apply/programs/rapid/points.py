@@ -11,9 +11,9 @@ from aridcal.jobs.apply.programs.axes import DEGREE, MILLIMETRE
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.notations import ABB
 from aridcal.jobs.apply.programs.postures import rapid_words
-from aridcal.jobs.apply.programs.project import Source
+from aridcal.jobs.apply.programs.project import SourceFile
 from aridcal.jobs.apply.programs.rapid.values import NOT_USED, Literal
-from aridcal.jobs.apply.programs.targets import Branch, Place, Target
+from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target
 from aridcal.jobs.apply.programs.text import NONE, Numbers
 from aridcal.jobs.apply.programs.uses import Use
 
@@ -28,7 +28,7 @@ class Targets:
     """
 
     cell: Cell
-    sources: tuple[Source, ...]
+    sources: tuple[SourceFile, ...]
 
     @cached_property
     def _free(self) -> np.ndarray:
@@ -46,7 +46,7 @@ class Targets:
             if n.value < NOT_USED
         ]
 
-    def target(self, own: Literal, use: Use, beside: tuple[Place, ...]) -> Target:
+    def target(self, own: Literal, use: Use, beside: tuple[PoseReference, ...]) -> Target:
         """The target of a point that a program uses.
 
         Args:
@@ -68,11 +68,11 @@ class Targets:
             stated = (*numbers, *(n for n, _ in rails))
             readings = axes.readings(stated, units)
             return Target(line, own.name, "joints", Numbers(stated), "", readings, units, digits=5, file=code.file)
-        held = self._free
+        fixed = self._free
         for value, k in self.rails(own):
-            held = held.copy()
-            held[k] = value
+            fixed = fixed.copy()
+            fixed[k] = value
         words = rapid_words(own.configuration, self.cell) if use.mode == "on" else None
         unknown = "" if words is not None else use.unknown
-        branch = Branch(words, None, held, nearest=use.mode != "on", unknown=unknown)
+        branch = Branch(words, None, fixed, nearest=use.mode != "on", unknown=unknown)
         return Target(line, own.name, "pose", own.numbers, "", None, (), ABB, use.place, beside, branch, file=code.file)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.project import Project
-from aridcal.jobs.apply.programs.rapid.grammar import MODULE, Module, NotUnderstood, blanked, fold, modules
+from aridcal.jobs.apply.programs.rapid.grammar import MODULE, MalformedStatement, Module, blanked, fold, modules
 from aridcal.jobs.apply.programs.rapid.meaning import GUARDED, Meaning
 from aridcal.jobs.apply.programs.rapid.names import Names
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import NONE, Code
-from aridcal.jobs.apply.programs.walk import Call, Choice, Node, Repeat, State, Step, TooLong, Walk
+from aridcal.jobs.apply.programs.walk import Call, Choice, Node, ProgramState, Repeat, Step, TooManyWays, Walk
 
 FIRST = ""
 """The key of what a controller begins with."""
@@ -17,7 +17,7 @@ FIRST = ""
 TOO_LONG = "the program has more ways than can be followed"
 
 
-def read(project: Project, cell: Cell) -> Reading:
+def read(project: Project, cell: Cell) -> ProgramReading:
     """Targets of a project, in the order in which the robot goes there."""
     codes = tuple(Code(k, s.path.name, s.text, blanked(s.text)) for k, s in enumerate(project.sources))
     try:
@@ -25,11 +25,11 @@ def read(project: Project, cell: Cell) -> Reading:
         names = Names(codes, cell.frames.harmless)
         names.read(parsed)
     except _Broken as broken:
-        return Reading([broken.target], ())
+        return ProgramReading([broken.target], ())
     meaning = Meaning(names, cell, project.sources)
     try:
         _walk(meaning, names)
-    except TooLong:
+    except TooManyWays:
         meaning.leave_all(TOO_LONG)
     if names.unknown_calls and any(fold(bound.routine.name) == "main" for bound in names.routines.values()):
         notes.append(
@@ -38,7 +38,7 @@ def read(project: Project, cell: Cell) -> Reading:
     ledger, points = meaning.ledger, meaning.points
     meaning.end()
     del meaning, names, parsed  # a long program's are larger than its targets
-    return Reading(ledger.targets(points.target), tuple(notes))
+    return ProgramReading(ledger.targets(points.target), tuple(notes))
 
 
 class _Broken(Exception):
@@ -55,31 +55,31 @@ def _modules(project: Project, codes: tuple[Code, ...]) -> tuple[list[Module], l
     notes: list[str] = []
     for source, code in zip(project.sources, codes, strict=True):
         try:
-            found = modules(code)
-        except NotUnderstood as problem:
+            modules_of_file = modules(code)
+        except MalformedStatement as problem:
             if not source.ours and MODULE.search(code.plain) is None:
                 notes.append(f"{source.path}: is no RAPID: not looked at")
                 continue
             raise _Broken(_broken(code, codes, problem)) from None
-        twice = None if source.ours else _clash(given, found)
+        twice = None if source.ours else _clash(given, modules_of_file)
         if twice:
             notes.append(f"{source.path}: declares {twice}, too, so that it is part of another program: not looked at")
         else:
-            given += found
+            given += modules_of_file
     return given, notes
 
 
-def _broken(code: Code, codes: tuple[Code, ...], problem: NotUnderstood) -> Target:
+def _broken(code: Code, codes: tuple[Code, ...], problem: MalformedStatement) -> Target:
     line = code.line(problem.place)
     name = code.name if len(codes) > 1 else "the program"
     why = f"{code.name} line {line} is not understood, so that nothing is corrected: {problem}"
     return Target(line, name, "pose", NONE, why, file=code.file)
 
 
-def _clash(given: list[Module], found: list[Module]) -> str:
+def _clash(given: list[Module], modules_of_file: list[Module]) -> str:
     """A name that modules of one task cannot both declare for all; empty where there is none."""
-    seen = {name for module in given for name in _global_names(module)}
-    return next((name for module in found for name in _global_names(module) if fold(name) in seen), "")
+    names = {name for module in given for name in _global_names(module)}
+    return next((name for module in modules_of_file for name in _global_names(module) if fold(name) in names), "")
 
 
 def _global_names(module: Module) -> list[str]:
@@ -89,7 +89,7 @@ def _global_names(module: Module) -> list[str]:
 
 def _walk(meaning: Meaning, names: Names) -> None:
     walk = Walk({**meaning.bodies, FIRST: _first(meaning, names)}, meaning)
-    state = State()
+    state = ProgramState()
     meaning.begin(state)
     for key, bound in names.routines.items():
         if bound.routine.kind == "trap":

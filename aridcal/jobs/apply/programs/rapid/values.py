@@ -12,9 +12,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aridcal.jobs.apply.programs.notations import ABB, MILLI, inverse, pose
-from aridcal.jobs.apply.programs.rapid.grammar import Declared, fold
+from aridcal.jobs.apply.programs.rapid.grammar import DataDeclaration, fold
 from aridcal.jobs.apply.programs.rapid.table import FRAME_TYPES
-from aridcal.jobs.apply.programs.text import LARGEST, NONE, NUMBER, Code, Numbers
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NONE, NUMBER, Code, Numbers
 from aridcal.jobs.apply.programs.uses import HERE, Frame
 from aridcal.jobs.apply.programs.walk import Unknown
 
@@ -51,7 +51,7 @@ class Datum:
         value: That its declaration says; None until that is worked out.
     """
 
-    declared: Declared
+    declared: DataDeclaration
     code: Code
     address: tuple[str, str]
     type: str
@@ -155,7 +155,7 @@ def literal(code: Code, start: int, end: int, name: str, form: OneOf["joints", "
         return Literal(code, start, end, name, form, "is no plain numbers")
     spans, texts = match.regs[1:], match.groups()
     numbers = [float(text) for text in texts[:7]]
-    if max(map(abs, numbers[:6])) > LARGEST:
+    if max(map(abs, numbers[:6])) > LARGEST_IN_PROGRAM:
         return Literal(code, start, end, name, form, "has numbers that no arm has")
     if form == "pose" and abs(math.hypot(*numbers[3:7]) - 1.0) > UNIT:
         return Literal(code, start, end, name, form, "has no unit quaternion")
@@ -197,7 +197,11 @@ def transform(value: object) -> Frame | None:
     if not (isinstance(value, tuple) and len(value) == 2 and all(isinstance(part, tuple) for part in value)):
         return None
     place, turn = value
-    if len(place) != 3 or len(turn) != 4 or not all(type(n) is float and abs(n) <= LARGEST for n in (*place, *turn)):
+    if (
+        len(place) != 3
+        or len(turn) != 4
+        or not all(type(n) is float and abs(n) <= LARGEST_IN_PROGRAM for n in (*place, *turn))
+    ):
         return None
     if abs(math.hypot(*turn) - 1.0) > UNIT:
         return None
@@ -260,7 +264,7 @@ def reltool(point: object, numbers: tuple[object, ...], turns: tuple[object, ...
 
 
 def _plain(values: tuple[object, ...]) -> tuple[float, ...] | None:
-    plain = tuple(value for value in values if type(value) is float and abs(value) <= LARGEST)
+    plain = tuple(value for value in values if type(value) is float and abs(value) <= LARGEST_IN_PROGRAM)
     return plain if len(plain) == len(values) else None
 
 

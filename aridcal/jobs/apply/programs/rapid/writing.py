@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from aridcal.jobs.apply.programs.moves import AXES, Moves
+from aridcal.jobs.apply.programs.moves import ARM_AXES, Moves
 from aridcal.jobs.apply.programs.rapid.grammar import blanked
 
 NOT_USED = "9E+09"
@@ -26,21 +26,21 @@ def comment(text: str, sentence: str) -> tuple[int, str]:
     return (ends[-1] if text[start : ends[-1]].strip() else start), remark
 
 
-def write(made: Moves, stem: str) -> Iterator[str]:
+def write(moves: Moves, stem: str) -> Iterator[str]:
     """`MoveAbsJ` to a zone of `fine` stops exactly."""
-    axes = made.axes()
+    axes = moves.axes()
     yield f"MODULE {stem}"
-    yield from (f"  ! {note}" for note in made.notes)
+    yield from (f"  ! {note}" for note in moves.notes)
     yield f"  PROC {stem}_run()"
-    for stop in made.stops:
-        value = dict(zip(axes, (f"{v:.5f}" for v in made.shown(stop)), strict=True))
+    for stop in moves.stops:
+        value = dict(zip(axes, (f"{v:.5f}" for v in moves.shown(stop)), strict=True))
         arm, outside = (
-            ", ".join(value.get(f"{letter}{k}", NOT_USED) for k in range(1, AXES + 1)) for letter in ("A", "E")
+            ", ".join(value.get(f"{letter}{k}", NOT_USED) for k in range(1, ARM_AXES + 1)) for letter in ("A", "E")
         )
         yield f"    MoveAbsJ [[{arm}], [{outside}]] \\NoEOffs, v100, fine, tool0;"
         if stop.number:
             yield f"    ! {stop.remark}"
             yield f'    TPWrite "configuration {stop.number}";'
-            yield f"    WaitTime \\InPos, {made.settle:.3f};"
+            yield f"    WaitTime \\InPos, {moves.settle:.3f};"
     yield "  ENDPROC"
     yield "ENDMODULE"

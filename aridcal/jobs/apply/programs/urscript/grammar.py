@@ -72,7 +72,7 @@ TOP = ""
 """The name of the routine of all statements outside of functions."""
 
 
-class Malformed(Exception):
+class MalformedProgram(Exception):
     """The text is no program as a whole: its blocks do not fit each other, or are too deep."""
 
 
@@ -141,7 +141,7 @@ class Element(NamedTuple):
     at: Spot
 
 
-class Called(NamedTuple):
+class FunctionCall(NamedTuple):
     """A function of the language, of the program, or of neither; keywords are empty where there are none."""
 
     name: str
@@ -161,13 +161,13 @@ class Method(NamedTuple):
 class Run(NamedTuple):
     """A thread is started."""
 
-    called: Called
+    called: FunctionCall
 
 
 Arguments = tuple[tuple[str, "Expression"], ...]
 """What a function is given, with keywords where they stand there."""
 
-Expression = Literal | Name | Constant | Text | Listing | Operation | Element | Called | Method | Run
+Expression = Literal | Name | Constant | Text | Listing | Operation | Element | FunctionCall | Method | Run
 
 
 class Assign(NamedTuple):
@@ -329,15 +329,15 @@ class Parser:
                     self._skip(start, str(problem))
                 self._pending.clear()
         if len(self._blocks) > 1:
-            raise Malformed(f"a `{self._blocks[-1].kind}` has no `end`")
+            raise MalformedProgram(f"a `{self._blocks[-1].kind}` has no `end`")
         self._routine.body = tuple(self._blocks[0].body)
         return self._file
 
     def _spot(self, token: Token) -> Spot:
         return self._code.file, token.place
 
-    def _malformed(self, what: str, token: Token) -> Malformed:
-        return Malformed(f"line {self._code.line(token.place)}: {what}")
+    def _malformed(self, what: str, token: Token) -> MalformedProgram:
+        return MalformedProgram(f"line {self._code.line(token.place)}: {what}")
 
     def _skip(self, start: int, why: str) -> None:
         """Pass over a line of which nobody knows the meaning; a block that it seems to begin is kept."""
@@ -394,8 +394,8 @@ class Parser:
             return
         if token.kind not in ("name", "move", "list", "pose"):  # p[2] may be an element of a variable p
             raise _Garbled("is no statement of URScript")
-        read = _STATEMENTS.get(token.text, Parser._expression_statement)
-        read(self, token)
+        reader = _STATEMENTS.get(token.text, Parser._expression_statement)
+        reader(self, token)
         after = self._tokens[self._at]
         if after.kind not in ("line", "name", "move", "note"):
             raise _Garbled(f"{after.text} is not understood there")
@@ -502,7 +502,7 @@ class Parser:
         value = self._expression(0)
         if self._tokens[self._at].text == "=":
             self._assign(value, "", token)
-        elif isinstance(value, Called | Method | Run):
+        elif isinstance(value, FunctionCall | Method | Run):
             self._add(Step(Evaluate(value, self._spot(token))))
         else:
             raise _Garbled("is no statement of URScript")
@@ -672,14 +672,14 @@ class Parser:
     def _calls(self, name: str, arguments: Arguments, at: Spot) -> Expression:
         routines = self._routines.get(name, ())
         self._routine.calls.update(routines)
-        called = Called(name, arguments, at, routines)
+        call = FunctionCall(name, arguments, at, routines)
         if len(routines) > 1 or (routines and name in RULES):
             self._pending.append(Step(NoStatement((), (), f"{name} is defined more than once", at)))
         elif routines:
-            self._pending.append(Call(routines[0], called))
+            self._pending.append(Call(routines[0], call))
         elif name not in RULES:
-            self._pending.append(Call(name, called))
-        return called
+            self._pending.append(Call(name, call))
+        return call
 
     def _run(self, depth: int) -> Expression:
         name = self._take("name")
@@ -687,7 +687,7 @@ class Parser:
         arguments = self._items(")", depth)
         routines = self._routines.get(name.text, ())
         self._routine.calls.update(routines)
-        return Run(Called(name.text, arguments, self._spot(name), routines))
+        return Run(FunctionCall(name.text, arguments, self._spot(name), routines))
 
     def _items(self, closing: str, depth: int) -> Arguments:
         """What stands between brackets, with keywords where it has them."""

@@ -11,18 +11,18 @@ from typing import Literal as Literal_
 import numpy as np
 
 from aridcal.jobs.apply.programs.cell import Cell
-from aridcal.jobs.apply.programs.frames import absent, unknown
+from aridcal.jobs.apply.programs.frames import absent, unknown_frame
 from aridcal.jobs.apply.programs.notations import UR, inverse
 from aridcal.jobs.apply.programs.project import Project
-from aridcal.jobs.apply.programs.targets import Branch, Place, Target
-from aridcal.jobs.apply.programs.text import LARGEST, NONE, NUMBER, Code, Number, Numbers, number
+from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NONE, NUMBER, Code, Number, Numbers, number
 from aridcal.jobs.apply.programs.urscript.grammar import (
     Assign,
-    Called,
     Constant,
     Element,
     Evaluate,
     Expression,
+    FunctionCall,
     Listing,
     Literal,
     Method,
@@ -38,7 +38,7 @@ from aridcal.jobs.apply.programs.urscript.grammar import (
 from aridcal.jobs.apply.programs.urscript.scopes import LOCAL, SHARED, UNSURE, Scopes
 from aridcal.jobs.apply.programs.urscript.table import MODE, RULES, SWITCHED, VIA, Move, Rule, Switch
 from aridcal.jobs.apply.programs.uses import HERE, Frame, Ledger, Use, line_name, product
-from aridcal.jobs.apply.programs.walk import NEVER_SET, State, Unknown, Walk
+from aridcal.jobs.apply.programs.walk import NEVER_SET, ProgramState, Unknown, Walk
 from aridcal.system.errors import AridcalError
 
 DEFAULT = "default"
@@ -59,7 +59,7 @@ UNTOLD = "no joint target before says how the arm stands when it comes: state it
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolvedJoints:
     """How inverse kinematics made joints of a pose.
 
     Attributes:
@@ -89,7 +89,7 @@ class Point:
     literal: Literal
     base: object = HERE
     frames: tuple[Literal, ...] = ()
-    solved: Solved | None = None
+    solved: SolvedJoints | None = None
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Items:
 
 
 @dataclass(frozen=True)
-class Computed:
+class ComputedValue:
     """A value that only the controller works out, so that it is no point of the text; all are equal.
 
     Attributes:
@@ -155,11 +155,11 @@ class Meaning:
         self.walk: Walk | None = None
         self.poses = False
 
-    def begin(self) -> State:
+    def begin(self) -> ProgramState:
         """The state where a program begins."""
-        state = State()
+        state = ProgramState()
         tool = self._cell.frames.tools.get(DEFAULT)
-        state.set("tool", None, Frame(tool) if tool is not None else Unknown(unknown("the tool", DEFAULT)))
+        state.set("tool", None, Frame(tool) if tool is not None else Unknown(unknown_frame("the tool", DEFAULT)))
         state.set("stance", None, True if self._cell.start else Unknown(UNTOLD))
         state.set("rest", None, 0)
         for mode in SWITCHED:
@@ -182,13 +182,13 @@ class Meaning:
 
     # The walk's semantics
 
-    def step(self, what: object, state: State) -> None:
+    def step(self, what: object, state: ProgramState) -> None:
         """Carry out a statement."""
         assert isinstance(what, Evaluate | Assign | Return | NoStatement)
         self._at = what.at
         if isinstance(what, Evaluate):
             value = self._value(what.value, state)
-            if not isinstance(what.value, Called):
+            if not isinstance(what.value, FunctionCall):
                 self._spend(value, f"{self._line(what.at)} tests it")
         elif isinstance(what, Assign):
             self._assign(what, state)
@@ -203,27 +203,27 @@ class Meaning:
                 self._spent.setdefault(literal.key, f"{line} {what.why}")
             state.forget_all(f"{line}: {what.why}")
 
-    def enter(self, what: object, name: str, state: State) -> None:
+    def enter(self, what: object, name: str, state: ProgramState) -> None:
         """Set the parameters of a routine."""
         routine = self._routines[name]
-        self._at = what.at if isinstance(what, Called) else self._at
-        arguments = self._bound(what, routine.parameters, state) if isinstance(what, Called) else {}
+        self._at = what.at if isinstance(what, FunctionCall) else self._at
+        arguments = self._bound(what, routine.parameters, state) if isinstance(what, FunctionCall) else {}
         for local in routine.local:
             value = arguments.get(local, Unknown(f"{local} is set by whoever calls {routine.name}"))
             self._set((LOCAL, (name, local)), value, state)
         self._set(("returned", None), Unknown(f"{routine.name} gives nothing back"), state)
         self._part(state)
 
-    def leave(self, what: object, name: str, state: State) -> None:
+    def leave(self, what: object, name: str, state: ProgramState) -> None:
         """Hand over what a routine gives back."""
-        if isinstance(what, Called):
+        if isinstance(what, FunctionCall):
             self._at = what.at
             state.set("returned", what.at, self._get(("returned", None), state, what.name))
         self._part(state)
 
-    def absent(self, what: object, name: str, state: State) -> None:
+    def absent(self, what: object, name: str, state: ProgramState) -> None:
         """A function that stands nowhere."""
-        if not isinstance(what, Called):  # a thread of which the head is garbled
+        if not isinstance(what, FunctionCall):  # a thread of which the head is garbled
             state.forget_all(absent(name))
             return
         self._at = what.at
@@ -232,15 +232,15 @@ class Meaning:
         if name.lower() not in self._cell.frames.harmless:
             state.forget_all(f"{self._line(what.at)}: {absent(name)}")
 
-    def _part(self, state: State) -> None:
+    def _part(self, state: ProgramState) -> None:
         """Names that several functions set are not certain where one goes over to another."""
         state.forget_family(UNSURE, "it may be local to the function around it")
         if self._scopes.shared:
             state.forget_family(SHARED, "several functions set it: declare it `global` before, or `local`")
 
-    def _bound(self, called: Called, parameters: tuple[str, ...], state: State) -> dict[str, object]:
+    def _bound(self, call: FunctionCall, parameters: tuple[str, ...], state: ProgramState) -> dict[str, object]:
         """The values of a function's arguments, by the names of its parameters."""
-        return {name: self._value(value, state) for name, value in _named(called, parameters).items()}
+        return {name: self._value(value, state) for name, value in _named(call, parameters).items()}
 
     def _line(self, at: Spot) -> str:
         return line_name(self._codes, self._codes[at[0]], at[1])
@@ -252,17 +252,17 @@ class Meaning:
         for key in _keys(value):
             self._spent.setdefault(key, why)
 
-    def _set(self, variable: Variable, value: object, state: State) -> None:
+    def _set(self, variable: Variable, value: object, state: ProgramState) -> None:
         """Give a variable a value."""
         self._held.setdefault(variable, set()).update(_keys(value))
-        state.set(*variable, Computed(value.why) if isinstance(value, Unknown) else value)
+        state.set(*variable, ComputedValue(value.why) if isinstance(value, Unknown) else value)
 
-    def _get(self, variable: Variable, state: State, name: str) -> object:
+    def _get(self, variable: Variable, state: ProgramState, name: str) -> object:
         """The value of a variable; where it is not certain, all points that it ever holds may be used here."""
         value = state.get(*variable)
         if isinstance(value, Unknown):
             self._vague.setdefault(variable, f"{self._line(self._at)} uses {name}, and {value.why}")
-        return Unknown(value.why) if isinstance(value, Computed) else value
+        return Unknown(value.why) if isinstance(value, ComputedValue) else value
 
     def _numbers(self, literal: Literal) -> tuple[Number, ...]:
         plain = self._codes[literal.file].plain
@@ -290,7 +290,7 @@ class Meaning:
 
     # Expressions
 
-    def _value(self, expression: Expression, state: State) -> object:
+    def _value(self, expression: Expression, state: ProgramState) -> object:
         kind = type(expression)
         if kind is Literal:
             return Point(expression)  # type: ignore[arg-type]
@@ -298,7 +298,7 @@ class Meaning:
             return expression.value  # type: ignore[union-attr]
         if isinstance(expression, Name):
             return self._variable(expression, state)
-        if isinstance(expression, Called):
+        if isinstance(expression, FunctionCall):
             return self._called(expression, state)
         if isinstance(expression, Listing):
             return self._listing(expression, state)
@@ -312,11 +312,11 @@ class Meaning:
             return self._run(expression, state)
         return TEXT
 
-    def _variable(self, name: Name, state: State) -> object:
+    def _variable(self, name: Name, state: ProgramState) -> object:
         value = self._get(self._scopes.key(name.routine, name.name), state, name.name)
         return Unknown(f"{name.name} {value.why}") if value is NEVER_SET else value
 
-    def _listing(self, listing: Listing, state: State) -> object:
+    def _listing(self, listing: Listing, state: ProgramState) -> object:
         values = tuple(self._value(item, state) for item in listing.items)
         if all(isinstance(value, float) for value in values):
             return Vector(listing.pose, values)  # type: ignore[arg-type]
@@ -327,7 +327,7 @@ class Meaning:
             self._spend(value, why)
         return next((value for value in values if isinstance(value, Unknown)), Unknown(f"{why}, which takes numbers"))
 
-    def _operation(self, operation: Operation, state: State) -> object:
+    def _operation(self, operation: Operation, state: ProgramState) -> object:
         values = [self._value(operand, state) for operand in operation.operands]
         why = f"{self._line(operation.at)} computes with it"
         for value in values:
@@ -338,7 +338,7 @@ class Meaning:
             return result
         return Unknown(f"{self._line(operation.at)} works it out while the program runs")
 
-    def _element(self, element: Element, state: State) -> object:
+    def _element(self, element: Element, state: ProgramState) -> object:
         value = self._value(element.of, state)
         index = None if element.which is None else self._value(element.which, state)
         line = self._line(element.at)
@@ -357,7 +357,7 @@ class Meaning:
             return tuple(n.value for n in self._numbers(value.literal))
         return None
 
-    def _method(self, method: Method, state: State) -> object:
+    def _method(self, method: Method, state: ProgramState) -> object:
         line = self._line(method.at)
         self._spend(self._value(method.of, state), f"{line} calls a method of it")
         for _, argument in method.arguments:
@@ -365,21 +365,21 @@ class Meaning:
         self._changed(method.of, f"{line} may change it", state)
         return Unknown(f"{line} works it out while the program runs")
 
-    def _run(self, run: Run, state: State) -> object:
-        called, line = run.called, self._line(run.called.at)
-        for _, argument in called.arguments:
+    def _run(self, run: Run, state: ProgramState) -> object:
+        call, line = run.called, self._line(run.called.at)
+        for _, argument in call.arguments:
             self._spend(self._value(argument, state), f"{line} passes it on to a thread")
-        if not called.routines:
-            self.absent(called, called.name, state)
+        if not call.routines:
+            self.absent(call, call.name, state)
         assert self.walk is not None
-        for key in called.routines:
+        for key in call.routines:
             keys = [k for k in self.walk.writes(key, state) if k[0] not in ("returned", LOCAL)]
-            state.volatile(keys, f"{line} starts {called.name}, which may change it at any time")
+            state.volatile(keys, f"{line} starts {call.name}, which may change it at any time")
         return TEXT
 
     # Statements
 
-    def _assign(self, assign: Assign, state: State) -> None:
+    def _assign(self, assign: Assign, state: ProgramState) -> None:
         value, line = self._value(assign.value, state), self._line(assign.at)
         if not isinstance(assign.to, Name):
             self._component(assign.to, value, line, state)
@@ -393,7 +393,7 @@ class Meaning:
             state.forget_family(LOCAL, f"{line} may set a name of the function around it")
         self._set((family, member), value, state)
 
-    def _component(self, to: Expression, value: object, line: str, state: State) -> None:
+    def _component(self, to: Expression, value: object, line: str, state: ProgramState) -> None:
         """An element or a member is given a value."""
         self._spend(value, f"{line} puts it into another value")
         values = None
@@ -415,7 +415,7 @@ class Meaning:
                 return
         self._changed(to, f"{line} writes a part of it", state)
 
-    def _changed(self, expression: Expression, why: str, state: State) -> None:
+    def _changed(self, expression: Expression, why: str, state: ProgramState) -> None:
         """The variable that an expression is a part of is not certain any more."""
         while isinstance(expression, Element):
             if expression.which is not None:
@@ -430,53 +430,53 @@ class Meaning:
 
     # Functions
 
-    def _called(self, called: Called, state: State) -> object:
-        if called.routines:
-            returned = state.get("returned", called.at)
-            return Unknown(returned.why) if isinstance(returned, Computed) else returned
-        rule = RULES.get(called.name)
+    def _called(self, call: FunctionCall, state: ProgramState) -> object:
+        if call.routines:
+            returned = state.get("returned", call.at)
+            return Unknown(returned.why) if isinstance(returned, ComputedValue) else returned
+        rule = RULES.get(call.name)
         if rule is None:  # its arguments are spent by `absent`
-            return Unknown(f"{called.name} is in no given file")
+            return Unknown(f"{call.name} is in no given file")
         if isinstance(rule, Move):
-            return self._move(called, rule, state)
-        evaluate = _EVALUATE.get(called.name)
+            return self._move(call, rule, state)
+        evaluate = _EVALUATE.get(call.name)
         if evaluate is not None:
-            return evaluate(self, called, state)
-        line = self._line(called.at)
-        for _, argument in called.arguments:
+            return evaluate(self, call, state)
+        line = self._line(call.at)
+        for _, argument in call.arguments:
             value = self._value(argument, state)
             if rule is not Rule.LOOKS:
-                self._spend(value, f"{line} passes it on to {called.name}")
+                self._spend(value, f"{line} passes it on to {call.name}")
         if isinstance(rule, Switch):
-            self._switch(called, rule, state)
+            self._switch(call, rule, state)
         elif rule is Rule.POSTURE:
-            state.set("rest", None, called.at)
-            state.forget("stance", None, f"{line}: {called.name} may leave the arm in another posture")
+            state.set("rest", None, call.at)
+            state.forget("stance", None, f"{line}: {call.name} may leave the arm in another posture")
         elif rule is Rule.OPEN:
-            state.forget_all(f"{line}: {called.name} carries out what comes from outside")
-        return Unknown(f"{line}: {called.name}(...) is worked out while the program runs")
+            state.forget_all(f"{line}: {call.name} carries out what comes from outside")
+        return Unknown(f"{line}: {call.name}(...) is worked out while the program runs")
 
-    def _switch(self, called: Called, switch: Switch, state: State) -> None:
-        line = self._line(called.at)
+    def _switch(self, call: FunctionCall, switch: Switch, state: ProgramState) -> None:
+        line = self._line(call.at)
         state.set(
             "mode",
             switch.mode,
             f"{switch.mode} is active: the arm does not just go to its targets" if switch.on else "",
         )
-        state.set("rest", None, called.at)
+        state.set("rest", None, call.at)
         if switch.led:
-            state.forget("stance", None, f"{line}: {called.name}: the arm is led by hand")
+            state.forget("stance", None, f"{line}: {call.name}: the arm is led by hand")
 
-    def _set_tcp(self, called: Called, state: State) -> object:
-        line = self._line(called.at)
-        given = self._bound(called, ("pose", "tcp_name"), state)
+    def _set_tcp(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
+        given = self._bound(call, ("pose", "tcp_name"), state)
         tool = self._frame(given.get("pose", Unknown(f"{line}: set_tcp has no pose")), f"{line} uses it as a tool")
         state.set("tool", None, Unknown(f"the tool of {line}: {tool.why}") if isinstance(tool, Unknown) else tool)
         return TEXT
 
-    def _pose_trans(self, called: Called, state: State) -> object:
-        line = self._line(called.at)
-        given = self._bound(called, ("p_from", "p_from_to"), state)
+    def _pose_trans(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
+        given = self._bound(call, ("p_from", "p_from_to"), state)
         if given.keys() != {"p_from", "p_from_to"}:
             return self._waste(list(given.values()), line)
         first, second = given["p_from"], given["p_from_to"]
@@ -486,9 +486,9 @@ class Meaning:
             return Point(second.literal, self._product(base, second.base), (*frames, *second.frames))
         return product(base, self._frame(second, f"{line} computes with it"))
 
-    def _pose_inv(self, called: Called, state: State) -> object:
-        line = self._line(called.at)
-        values = list(self._bound(called, ("p_from",), state).values())
+    def _pose_inv(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
+        values = list(self._bound(call, ("p_from",), state).values())
         if len(values) != 1:
             return self._waste(values, line)
         frame = self._frame(values[0], f"{line} uses it as a frame")
@@ -499,22 +499,22 @@ class Meaning:
             self._spend(value, f"{line} passes it on")
         return Unknown(f"{line} is not understood")
 
-    def _angle(self, called: Called, state: State) -> object:
-        line = self._line(called.at)
-        values = [self._value(value, state) for _, value in called.arguments]
+    def _angle(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
+        values = [self._value(value, state) for _, value in call.arguments]
         if len(values) == 1 and isinstance(values[0], float):
-            return math.radians(values[0]) if called.name == "d2r" else math.degrees(values[0])
+            return math.radians(values[0]) if call.name == "d2r" else math.degrees(values[0])
         return self._waste(values, line)
 
-    def _get_tcp_offset(self, called: Called, state: State) -> object:
+    def _get_tcp_offset(self, call: FunctionCall, state: ProgramState) -> object:
         return state.get("tool")
 
-    def _get_inverse_kin(self, called: Called, state: State) -> object:
-        line = self._line(called.at)
+    def _get_inverse_kin(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
         names = ("x", "qnear", "maxPositionError", "maxOrientationError", "tcp")
-        given = self._bound(called, names, state)
+        given = self._bound(call, names, state)
         value, near, tool = given.pop("x", None), given.pop("qnear", None), state.get("tool")
-        spoken = _named(called, names)
+        spoken = _named(call, names)
         for name, other in given.items():
             if isinstance(other, float):  # how exact it is to be
                 continue
@@ -527,12 +527,12 @@ class Meaning:
                 self._spend(value, f"{line} passes it on to get_inverse_kin")
             return value if isinstance(value, Unknown) else Unknown(f"{line} works out joints while the program runs")
         if isinstance(state.get("rest"), Unknown):
-            state.set("rest", None, called.at)
-        return replace(value, solved=Solved(tool, readings, state.get("rest"), why))
+            state.set("rest", None, call.at)
+        return replace(value, solved=SolvedJoints(tool, readings, state.get("rest"), why))
 
     def _near(self, value: object, expression: Expression | None) -> tuple[tuple[float, ...] | None, str]:
         """Readings that inverse kinematics starts from, and why they are not known."""
-        if value is None or (isinstance(expression, Called) and expression.name in _STANDING):
+        if value is None or (isinstance(expression, FunctionCall) and expression.name in _STANDING):
             return None, ""
         numbers: Sequence[float] | None = None
         if isinstance(value, Point) and value.solved is None and not value.literal.pose:
@@ -548,23 +548,23 @@ class Meaning:
 
     # Moves
 
-    def _move(self, called: Called, move: Move, state: State) -> object:
-        line = self._line(called.at)
-        given = self._bound(called, move.parameters, state)
+    def _move(self, call: FunctionCall, move: Move, state: ProgramState) -> object:
+        line = self._line(call.at)
+        given = self._bound(call, move.parameters, state)
         strange = next((name for name in given if name not in move.parameters), None)
-        trouble = "" if strange is None else f"{line}: {called.name} is not known to take {strange or 'so much'}"
+        trouble = "" if strange is None else f"{line}: {call.name} is not known to take {strange or 'so much'}"
         for name, value in given.items():
             if name not in move.goals:
-                self._spend(value, f"{line} passes it on to {called.name}")
+                self._spend(value, f"{line} passes it on to {call.name}")
         trouble = trouble or self._mode(given, state)
         for goal in move.goals:
-            value = given.get(goal, Unknown(f"{line}: {called.name} has no goal"))
+            value = given.get(goal, Unknown(f"{line}: {call.name} has no goal"))
             why = trouble or self._only_position(goal, value)
-            self._go(called, move, value, line, why, state)
-        state.set("rest", None, called.at)
+            self._go(call, move, value, line, why, state)
+        state.set("rest", None, call.at)
         return TEXT
 
-    def _mode(self, given: Mapping[str, object], state: State) -> str:
+    def _mode(self, given: Mapping[str, object], state: ProgramState) -> str:
         """Why the arm does not go just where a move says."""
         for mode in SWITCHED:
             active = state.get("mode", mode)
@@ -583,18 +583,18 @@ class Meaning:
             "" if any(n.value != 0.0 for n in rotation) else "only its position is used, and it states no orientation"
         )
 
-    def _go(self, called: Called, move: Move, value: object, line: str, why: str, state: State) -> None:
+    def _go(self, call: FunctionCall, move: Move, value: object, line: str, why: str, state: ProgramState) -> None:
         stance = state.get("stance")
         coming = stance.why if isinstance(stance, Unknown) else ""
         if not isinstance(value, Point):
             if move.by_joints:
                 state.forget("stance", None, f"{line} goes to a place that is not known")
-            self._spend(value, f"{line} passes it on to {called.name}")
-            self._leave(called, value)
+            self._spend(value, f"{line} passes it on to {call.name}")
+            self._leave(call, value)
             return
         pose = value.literal.pose
         if pose and move.joints_only and value.solved is None:
-            why = why or f"{called.name} takes joints, and this is a pose"
+            why = why or f"{call.name} takes joints, and this is a pose"
         if not pose:
             use = Use(
                 line, why=why or ("" if move.by_joints or not coming else f"it stands for its pose, and {coming}")
@@ -614,14 +614,14 @@ class Meaning:
             self._ledger.declare(key, value.literal)
             self._ledger.go(key, use)
 
-    def _solved(self, value: Point, solved: Solved, line: str, why: str, coming: str, state: State) -> Use:
-        if solved.near is not None:
+    def _solved(self, value: Point, joints: SolvedJoints, line: str, why: str, coming: str, state: ProgramState) -> Use:
+        if joints.near is not None:
             coming = ""
-        elif solved.why:
-            coming = solved.why
-        elif state.get("rest") != solved.rest:
+        elif joints.why:
+            coming = joints.why
+        elif state.get("rest") != joints.rest:
             coming = f"{line} goes to joints that were worked out before, elsewhere"
-        return Use(line, self._product(self.base, value.base), solved.tool, why=why, near=solved.near, unknown=coming)
+        return Use(line, self._product(self.base, value.base), joints.tool, why=why, near=joints.near, unknown=coming)
 
     def _product(self, first: object, second: object) -> object:
         """The product of two frames; of the same ones it is the same object, so that a long program has few."""
@@ -645,16 +645,16 @@ class Meaning:
             )
         return Frame(T)
 
-    def _leave(self, called: Called, value: object) -> None:
+    def _leave(self, call: FunctionCall, value: object) -> None:
         """A goal that no plain numbers say."""
-        file, place = called.at
+        file, place = call.at
         code = self._codes[file]
         end = code.closing(code.plain.find("(", place)) + 1
-        name = " ".join(code.text[place : max(end, place + len(called.name))].split())
+        name = " ".join(code.text[place : max(end, place + len(call.name))].split())
         why = value.why if isinstance(value, Unknown) else "is worked out while the program runs"
         self._ledger.leave(Target(code.line(place), name, "pose", NONE, why, file=file))
 
-    def _target(self, literal: Literal, use: Use, beside: tuple[Place, ...]) -> Target:
+    def _target(self, literal: Literal, use: Use, beside: tuple[PoseReference, ...]) -> Target:
         code, numbers = self._codes[literal.file], self._numbers(literal)
         line, name = code.line(literal.place), self._title(literal)
         form: Form = "pose" if literal.pose else "joints"
@@ -694,11 +694,11 @@ _STANDING = ("get_actual_joint_positions", "get_target_joint_positions")
 """Where the arm stands: inverse kinematics starts there without being told."""
 
 
-def _named(called: Called, parameters: tuple[str, ...]) -> dict[str, Expression]:
+def _named(call: FunctionCall, parameters: tuple[str, ...]) -> dict[str, Expression]:
     """The arguments of a function by the names of its parameters; one too many has none."""
     return {
         keyword or (parameters[k] if k < len(parameters) else ""): value
-        for k, (keyword, value) in enumerate(called.arguments)
+        for k, (keyword, value) in enumerate(call.arguments)
     }
 
 
@@ -712,7 +712,7 @@ def _keys(value: object) -> Iterator[tuple[int, int]]:
 
 
 def _plain(values: Sequence[float]) -> bool:
-    return all(abs(value) <= LARGEST for value in values)
+    return all(abs(value) <= LARGEST_IN_PROGRAM for value in values)
 
 
 def _frame_of(pose: bool, values: Sequence[float]) -> object:

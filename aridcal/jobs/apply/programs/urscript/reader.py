@@ -6,13 +6,13 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import NONE, Code
 from aridcal.jobs.apply.programs.urscript.grammar import (
     File,
-    Malformed,
+    MalformedProgram,
     Parser,
     Routine,
     code_of,
@@ -21,7 +21,7 @@ from aridcal.jobs.apply.programs.urscript.grammar import (
 from aridcal.jobs.apply.programs.urscript.meaning import DEFAULT, THREADED, Meaning
 from aridcal.jobs.apply.programs.urscript.scopes import Scopes
 from aridcal.jobs.apply.programs.urscript.table import MOVES
-from aridcal.jobs.apply.programs.walk import State, TooLong, Walk
+from aridcal.jobs.apply.programs.walk import ProgramState, TooManyWays, Walk
 
 BASE_NOTE = "poses are taken in the link `base` of the URDF, as the controller counts them; --frames may state another"
 
@@ -30,23 +30,23 @@ LONE_RETURN = re.compile(r"\r(?!\n)")
 MOVE = re.compile(rf"\b(?:{'|'.join(MOVES)})\s*+\(")
 
 
-def read(project: Project, cell: Cell) -> Reading:
+def read(project: Project, cell: Cell) -> ProgramReading:
     """Targets of a project.
 
     Raises:
         AridcalError: it has poses, and nothing says where the controller counts them from.
     """
     codes = tuple(code_of(k, source.path.name, source.text) for k, source in enumerate(project.sources))
-    files, one, left = _parsed(codes)
+    files, one, kept_targets = _parsed(codes)
     routines = {routine.key: routine for file in files.values() for routine in file.routines}
     empty = File([], {}, {})
     listed = [files.get(k, empty) for k in range(len(codes))]
     meaning = Meaning(codes, project, cell, routines, Scopes(listed, one), [file.titles for file in listed])
     try:
         _walked(meaning, files)
-    except (TooLong, RecursionError):
+    except (TooManyWays, RecursionError):
         why = "the program has too many ways, or calls too deep, to be followed"
-        return Reading([target for code in codes for target in _all_left(code, why)])
+        return ProgramReading([target for code in codes for target in _all_left(code, why)])
     finally:
         meaning.walk = (
             None  # they hold each other, as routines and the names in them do, and all that was made of the text
@@ -54,7 +54,7 @@ def read(project: Project, cell: Cell) -> Reading:
         for routine in routines.values():
             routine.body = ()
     notes = (BASE_NOTE,) if meaning.poses and DEFAULT not in cell.frames.bases else ()
-    return Reading([*meaning.targets(), *left], notes)
+    return ProgramReading([*meaning.targets(), *kept_targets], notes)
 
 
 def comment(text: str, sentence: str) -> tuple[int, str]:
@@ -65,12 +65,14 @@ def comment(text: str, sentence: str) -> tuple[int, str]:
 
 def _parsed(codes: tuple[Code, ...]) -> tuple[dict[int, File], bool, list[Target]]:
     """Files that can be read, whether they call each other, and what the others leave."""
-    left: list[Target] = []
+    kept_targets: list[Target] = []
     whole: list[Code] = []
     for code in codes:
         lone = LONE_RETURN.search(code.text)
         if lone:
-            left += _all_left(code, f"{code.name} has a carriage return without a line feed: write its line ends anew")
+            kept_targets += _all_left(
+                code, f"{code.name} has a carriage return without a line feed: write its line ends anew"
+            )
         else:
             whole.append(code)
     names, keys = _named(whole)
@@ -82,12 +84,12 @@ def _parsed(codes: tuple[Code, ...]) -> tuple[dict[int, File], bool, list[Target
             others.setdefault(name, []).extend(elsewhere)
         try:
             files[code.file] = Parser(code, {**others, **own}, keys[code.file]).file()
-        except Malformed as problem:
-            left += _all_left(code, f"{code.name} is no whole program: {problem}")
+        except MalformedProgram as problem:
+            kept_targets += _all_left(code, f"{code.name} is no whole program: {problem}")
         else:
             mine = set(keys[code.file].values())
             one = one or any(not routine.calls <= mine for routine in files[code.file].routines)
-    return files, one, left
+    return files, one, kept_targets
 
 
 def _named(codes: list[Code]) -> tuple[dict[int, dict[str, list[str]]], dict[int, dict[int, str]]]:
@@ -109,24 +111,24 @@ def _walked(meaning: Meaning, files: dict[int, File]) -> None:
     """Walk all programs of the files: what stands outside of functions, then functions that nothing calls, then threads."""
     routines = {routine.key: routine for file in files.values() for routine in file.routines}
     walk = meaning.walk = Walk({key: routine.body for key, routine in routines.items()}, meaning)
-    called = {key for routine in routines.values() for key in routine.calls if key != routine.key}
+    callees = {key for routine in routines.values() for key in routine.calls if key != routine.key}
     for file in files.values():
         top, *others = file.routines
         state = meaning.begin()
         walk.enter(top.key, state)
-        for routine in _entries(others, called, walk):
-            walk.enter(routine.key, State(state))
+        for routine in _entries(others, callees, walk):
+            walk.enter(routine.key, ProgramState(state))
     for routine in routines.values():
         if routine.kind == "thread":
-            state = State()
+            state = ProgramState()
             state.forget_all(THREADED)
             walk.enter(routine.key, state)
 
 
-def _entries(routines: list[Routine], called: set[str], walk: Walk) -> Iterator[Routine]:
+def _entries(routines: list[Routine], callees: set[str], walk: Walk) -> Iterator[Routine]:
     """Functions that nothing calls; then those that only such call as nothing comes to."""
     functions = [routine for routine in routines if routine.kind != "thread"]
-    yield from (routine for routine in functions if routine.key not in called)
+    yield from (routine for routine in functions if routine.key not in callees)
     yield from (routine for routine in functions if routine.key not in walk.reached)
 
 

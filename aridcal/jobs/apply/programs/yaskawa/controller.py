@@ -35,10 +35,10 @@ def read_tools(text: str) -> dict[int, np.ndarray]:
 def _entries(text: str, kind: str, numbers: re.Pattern[str]) -> dict[int, np.ndarray]:
     entries = list(ENTRY.finditer(text))
     ends = [*(entry.start() for entry in entries), len(text)][1:]
-    found: dict[int, np.ndarray] = {}
+    by_number: dict[int, np.ndarray] = {}
     for entry, end in zip(entries, ends, strict=True):
         own = text[entry.start() : end]
         match = numbers.search(own)
         if entry.group(1) == kind and match is not None and OTHER_GROUP.search(own) is None:
-            found[int(entry.group(2))] = YASKAWA.pose(np.array([float(n) for n in match.groups()]))
-    return found
+            by_number[int(entry.group(2))] = YASKAWA.pose(np.array([float(n) for n in match.groups()]))
+    return by_number

@@ -7,7 +7,19 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from aridcal.jobs.apply.programs.uses import ANY
-from aridcal.jobs.apply.programs.walk import DEEPEST, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step, TooLong
+from aridcal.jobs.apply.programs.walk import (
+    DEEPEST,
+    Body,
+    Call,
+    Choice,
+    Jump,
+    Leave,
+    Mark,
+    Node,
+    Repeat,
+    Step,
+    TooManyWays,
+)
 from aridcal.jobs.apply.programs.yaskawa.listing import SHOWN, Instruction, Job
 from aridcal.jobs.apply.programs.yaskawa.table import CHANGES, HARMLESS, INDEX, MOVE, OPTIONS, PLACE
 
@@ -151,7 +163,7 @@ class _Reader:
         kind = OPENS.get(word)
         if kind is not None:
             if len(self._blocks) > DEEPEST:
-                raise TooLong
+                raise TooManyWays
             self._blocks.append(_Block(kind))
             if kind == "SWITCH":  # what stands before the first CASE is never reached
                 self._blocks[-1].ways = []

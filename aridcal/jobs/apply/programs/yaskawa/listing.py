@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from aridcal.jobs.apply.programs.text import LARGEST, NONE, NUMBER, Code, Numbers
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NONE, NUMBER, Code, Numbers
 from aridcal.jobs.apply.programs.yaskawa.table import HEADERS
 
 LINE = re.compile(r"[^\r\n]+")
@@ -249,7 +249,7 @@ def _fault(head: _Head, texts: Sequence[str]) -> str:
         return "is not understood"
     if len(texts) != AXES:
         return f"has {len(texts)} numbers: those of an arm of six axes have six"
-    if max(map(abs, map(float, texts))) > LARGEST:
+    if max(map(abs, map(float, texts))) > LARGEST_IN_PROGRAM:
         return "has a number that no arm can reach"
     if head.data == "PULSE":
         return ""

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from aridcal.jobs.apply.programs.cell import Cell
-from aridcal.jobs.apply.programs.frames import absent, unknown
-from aridcal.jobs.apply.programs.targets import Place as TargetPlace
-from aridcal.jobs.apply.programs.targets import Target
+from aridcal.jobs.apply.programs.frames import absent, unknown_frame
+from aridcal.jobs.apply.programs.targets import PoseReference, Target
 from aridcal.jobs.apply.programs.text import NONE, Code
 from aridcal.jobs.apply.programs.uses import ANY, Frame, Ledger, Use, line_name
-from aridcal.jobs.apply.programs.walk import NEVER_SET, State, Unknown
+from aridcal.jobs.apply.programs.walk import NEVER_SET, ProgramState, Unknown
 from aridcal.jobs.apply.programs.yaskawa.flow import Action, Flow
 from aridcal.jobs.apply.programs.yaskawa.listing import SHOWN, Job, Position
 from aridcal.jobs.apply.programs.yaskawa.points import Targets
@@ -35,7 +34,7 @@ class Shift:
 
 
 @dataclass(frozen=True)
-class Given:
+class StatedFrames:
     """Frames that are stated for a project.
 
     Attributes:
@@ -76,7 +75,7 @@ class Meaning:
         ours: Mapping[int, bool],
         spoken: frozenset[int],
         walked: frozenset[int],
-        given: Given,
+        given: StatedFrames,
         cell: Cell,
     ) -> None:
         self.ledger: Ledger[tuple[Code, Position]] = Ledger()
@@ -115,12 +114,12 @@ class Meaning:
                 why = f"{self.line(k, use.start)} uses it otherwise than to go there"
                 if use.kind == "C":
                     own = [(k, p) for (kind, n), p in self._jobs[k].positions.items() if kind == "C"]
-                    found = [(k, p) for k, p in own if use.number in (ANY, p.number)]
+                    positions = [(k, p) for k, p in own if use.number in (ANY, p.number)]
                 elif use.number == ANY:
-                    found = [entry for entries in self._variables.values() for entry in entries]
+                    positions = [entry for entries in self._variables.values() for entry in entries]
                 else:
-                    found = self._variables.get(use.number, [])
-                for owner, position in found:
+                    positions = self._variables.get(use.number, [])
+                for owner, position in positions:
                     self._spoil(owner, position, why)
 
     def _spoil_variables(self, flows: Sequence[Flow], walked: frozenset[int]) -> None:
@@ -148,20 +147,20 @@ class Meaning:
         """All targets, when the walk is over."""
         return self.ledger.targets(self._target)
 
-    def _target(self, what: tuple[Code, Position], use: Use, beside: tuple[TargetPlace, ...]) -> Target:
+    def _target(self, what: tuple[Code, Position], use: Use, beside: tuple[PoseReference, ...]) -> Target:
         return self._targets.target(*what, use, beside)
 
     # the state
 
-    def begin(self, state: State, written: Mapping[str, Mapping[int, str]]) -> None:
-        """The state in which a job is started; ``written``: frames and tools that some given job sets, and where."""
+    def begin(self, state: ProgramState, frame_texts: Mapping[str, Mapping[int, str]]) -> None:
+        """The state in which a job is started; ``frame_texts``: frames and tools that some given job sets, and where."""
         for family, stated in (("frame", self._given.frames), ("tool", self._given.tools)):
-            if ANY in written[family]:
-                state.forget_family(family, written[family][ANY])
+            if ANY in frame_texts[family]:
+                state.forget_family(family, frame_texts[family][ANY])
                 continue
             for number, value in stated.items():
                 state.set(family, number, value)
-            for number, why in written[family].items():
+            for number, why in frame_texts[family].items():
                 state.forget(family, number, why)
         state.set("positions", None, True)
         state.set("shift", None, None)
@@ -175,7 +174,7 @@ class Meaning:
         """How messages name the line of an instruction."""
         return line_name(self._codes, self._jobs[k].code, start)
 
-    def step(self, what: object, state: State) -> None:
+    def step(self, what: object, state: ProgramState) -> None:
         """Carry out an instruction."""
         assert isinstance(what, Action)
         line = self.line(what.job, what.start)
@@ -203,41 +202,41 @@ class Meaning:
                     f"{line} is not understood, and may change frames and positions: {printable(name[:SHOWN])}"
                 )
 
-    def enter(self, what: object, name: str, state: State) -> None:
+    def enter(self, what: object, name: str, state: ProgramState) -> None:
         """The frame that a caller names for a relative job."""
         state.set("called frame", None, what.what if isinstance(what, Action) else "")
 
-    def leave(self, what: object, name: str, state: State) -> None:
+    def leave(self, what: object, name: str, state: ProgramState) -> None:
         """It is that of the job alone."""
         state.drop("called frame", None)
 
-    def absent(self, what: object, name: str, state: State) -> None:
+    def absent(self, what: object, name: str, state: ProgramState) -> None:
         """A job is called that no file has."""
         if name.lower() not in self._cell.frames.harmless:
             state.forget_all(absent(name))
 
     # moves
 
-    def _go(self, what: Action, state: State) -> None:
-        found = self._position(what)
+    def _go(self, what: Action, state: ProgramState) -> None:
+        position = self._position(what)
         if state.recording:
-            if found is not None and found[0] in self._spoken:
-                self.ledger.go(self._key(*found), self._use(what, *found, state))
+            if position is not None and position[0] in self._spoken:
+                self.ledger.go(self._key(*position), self._use(what, *position, state))
             elif what.job in self._spoken:
                 self._leave(what)
-        self._stand(what, found, state)
+        self._stand(what, position, state)
 
-    def _stand(self, what: Action, found: tuple[int, Position] | None, state: State) -> None:
+    def _stand(self, what: Action, position: tuple[int, Position] | None, state: ProgramState) -> None:
         """How the arm stands behind a move."""
         stance = state.get("stance")
-        if found is None or what.why or self._key(*found) in self._misread:
+        if position is None or what.why or self._key(*position) in self._misread:
             if what.joint or stance == AS_STATED:
                 state.forget("stance", None, STANCE)
-        elif found[1].pulses:
+        elif position[1].pulses:
             state.set("stance", None, AS_STATED)
         elif stance == AS_STATED:
-            state.set("stance", None, found[1].posture)
-        elif stance != found[1].posture and not isinstance(stance, Unknown):
+            state.set("stance", None, position[1].posture)
+        elif stance != position[1].posture and not isinstance(stance, Unknown):
             state.forget("stance", None, self._other_posture(what))
 
     def _position(self, what: Action) -> tuple[int, Position] | None:
@@ -265,7 +264,7 @@ class Meaning:
         line = self.line(what.job, what.start)
         return f"RCONF is another one from {line} on, and it is not read: state --start S,L,U,R,B,T of that part alone"
 
-    def _use(self, what: Action, k: int, position: Position, state: State) -> Use:
+    def _use(self, what: Action, k: int, position: Position, state: ProgramState) -> Use:
         line = self.line(what.job, what.start)
         positions, shift = state.get("positions"), state.get("shift")
         why = positions.why if isinstance(positions, Unknown) else ""
@@ -291,12 +290,12 @@ class Meaning:
             self.assumed.add("posture")
         return Use(line, base, tool, False, why, None, strange)
 
-    def _base(self, what: Action, k: int, position: Position, state: State) -> object:
-        job, called = self._jobs[k], state.get("called frame")
-        if isinstance(called, Unknown):
-            return called
-        if called:
-            return self._called(job, position, str(called), state)
+    def _base(self, what: Action, k: int, position: Position, state: ProgramState) -> object:
+        job, frame = self._jobs[k], state.get("called frame")
+        if isinstance(frame, Unknown):
+            return frame
+        if frame:
+            return self._called(job, position, str(frame), state)
         if position.kind == "C" and job.relative:
             self.assumed.add("relative")
             own = f"USER {position.user}" if position.frame == "USER" else position.frame
@@ -307,19 +306,19 @@ class Meaning:
             return self._given.robot
         return self._numbered("frame", "user frame", position.user, state)
 
-    def _called(self, job: Job, position: Position, called: str, state: State) -> object:
+    def _called(self, job: Job, position: Position, callee: str, state: ProgramState) -> object:
         """The frame of a position whose job is called with one."""
         if not job.relative or position.frame != "USER" or position.kind != "C":
             return Unknown(
-                f"is no position of a relative job in a user frame, but gone to by one called with UF#({called})"
+                f"is no position of a relative job in a user frame, but gone to by one called with UF#({callee})"
             )
-        if not called.isdecimal():
-            return Unknown(f"its job is called with a user frame whose number is worked out, UF#({called})")
-        return self._numbered("frame", "user frame", str(int(called)), state)
+        if not callee.isdecimal():
+            return Unknown(f"its job is called with a user frame whose number is worked out, UF#({callee})")
+        return self._numbered("frame", "user frame", str(int(callee)), state)
 
-    def _tool(self, position: Position, state: State) -> object:
+    def _tool(self, position: Position, state: ProgramState) -> object:
         return self._numbered("tool", "tool", position.tool, state)
 
-    def _numbered(self, family: str, kind: str, number: str, state: State) -> object:
+    def _numbered(self, family: str, kind: str, number: str, state: ProgramState) -> object:
         value = state.get(family, int(number))
-        return Unknown(unknown(kind, number)) if value is NEVER_SET else value
+        return Unknown(unknown_frame(kind, number)) if value is NEVER_SET else value

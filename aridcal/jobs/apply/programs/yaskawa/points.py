@@ -8,7 +8,7 @@ from aridcal.jobs.apply.programs.axes import DEGREE
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.notations import YASKAWA
 from aridcal.jobs.apply.programs.postures import rconf_sides
-from aridcal.jobs.apply.programs.targets import Branch, Place, Shared, Target
+from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Shared, Target
 from aridcal.jobs.apply.programs.text import Code
 from aridcal.jobs.apply.programs.uses import Use
 from aridcal.jobs.apply.programs.yaskawa.listing import AXES, Position
@@ -40,7 +40,7 @@ class Targets:
             return OTHER_ARM
         return PULSES if position.pulses and not self._pulses else ""
 
-    def target(self, code: Code, position: Position, use: Use, beside: tuple[Place, ...]) -> Target:
+    def target(self, code: Code, position: Position, use: Use, beside: tuple[PoseReference, ...]) -> Target:
         """The target of a position that a job uses.
 
         Args:

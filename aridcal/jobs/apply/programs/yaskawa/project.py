@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from aridcal.jobs.apply.programs.callers import named, reached, routine_of, uncalled
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.callers import called_program, reachable_programs, routine_of, uncalled_programs
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import frames_set, joined_frames
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.text import Code
 from aridcal.jobs.apply.programs.uses import HERE, Frame
-from aridcal.jobs.apply.programs.walk import State, TooLong, Walk
+from aridcal.jobs.apply.programs.walk import ProgramState, TooManyWays, Walk
 from aridcal.jobs.apply.programs.yaskawa.controller import read_tools, read_user_frames
 from aridcal.jobs.apply.programs.yaskawa.flow import Flow, read_flow
 from aridcal.jobs.apply.programs.yaskawa.listing import Job, read_job
-from aridcal.jobs.apply.programs.yaskawa.meaning import Given, Meaning
+from aridcal.jobs.apply.programs.yaskawa.meaning import Meaning, StatedFrames
 
 ENDING = ".jbi"
 
@@ -41,7 +41,7 @@ def context(path: Path) -> list[Path]:
     ]
 
 
-def read(project: Project, cell: Cell) -> Reading:
+def read(project: Project, cell: Cell) -> ProgramReading:
     """Targets of a project: positions of //POS, in the order in which the jobs go there."""
     codes = tuple(Code(file, s.path.name, s.text, s.text) for file, s in enumerate(project.sources))
     programs = [code for code in codes if project.sources[code.file].path.suffix.lower() == ENDING]
@@ -50,12 +50,12 @@ def read(project: Project, cell: Cell) -> Reading:
     given, notes = _given(project, cell, codes)
     try:
         return _walked(cell, codes, jobs, ours, given, notes)
-    except (TooLong, RecursionError):
+    except (TooManyWays, RecursionError):
         for job in jobs:
             job.why = job.why or WAYS
         own = frozenset(k for k in ours if ours[k])
         meaning = Meaning(jobs, [Flow() for _ in jobs], codes, ours, own, own, given, cell)
-        return Reading(meaning.targets())
+        return ProgramReading(meaning.targets())
 
 
 def _walked(
@@ -63,32 +63,32 @@ def _walked(
     codes: tuple[Code, ...],
     jobs: Sequence[Job],
     ours: Mapping[int, bool],
-    given: Given,
+    given: StatedFrames,
     notes: tuple[str, ...],
-) -> Reading:
+) -> ProgramReading:
     flows = [read_flow(k, job) for k, job in enumerate(jobs)]
-    names, calls = named([job.name for job in jobs], ours), [flow.calls for flow in flows]
-    spoken = reached([k for k in ours if ours[k]], calls, names)
-    above = [k for k in ours if not ours[k] and reached([k], calls, names) & spoken and k not in spoken]
+    names, calls = called_program([job.name for job in jobs], ours), [flow.calls for flow in flows]
+    spoken = reachable_programs([k for k in ours if ours[k]], calls, names)
+    above = [k for k in ours if not ours[k] and reachable_programs([k], calls, names) & spoken and k not in spoken]
     walked = [k for k in ours if k in spoken or k in above]
     meaning = Meaning(jobs, flows, codes, ours, spoken, frozenset(walked), given, cell)
     walk = Walk({routine_of(names, k): flows[k].body for k in walked}, meaning)
-    state = State()
+    state = ProgramState()
     writes = [flow.writes for flow in flows]
     own_codes = [job.code for job in jobs]
     meaning.begin(state, frames_set(own_codes, writes, frozenset(walked), cell.frames, codes))
-    for k in uncalled(walked, calls, names):
-        walk.enter(routine_of(names, k), State(state))
+    for k in uncalled_programs(walked, calls, names):
+        walk.enter(routine_of(names, k), ProgramState(state))
     for k in walked:
         if routine_of(names, k) not in walk.reached:
-            walk.enter(routine_of(names, k), State(state))
+            walk.enter(routine_of(names, k), ProgramState(state))
     del walk
     for flow in flows:
         flow.body = ()  # a long job's is as large as its targets
-    return Reading(meaning.targets(), (*notes, *_assumptions(meaning.assumed, cell)))
+    return ProgramReading(meaning.targets(), (*notes, *_assumptions(meaning.assumed, cell)))
 
 
-def _given(project: Project, cell: Cell, codes: tuple[Code, ...]) -> tuple[Given, tuple[str, ...]]:
+def _given(project: Project, cell: Cell, codes: tuple[Code, ...]) -> tuple[StatedFrames, tuple[str, ...]]:
     """Frames that are known when a job begins, and what was taken for granted."""
     stated = cell.frames.bases.get(ROBOT)
     here = cell.elsewhere if stated is None else stated
@@ -100,7 +100,7 @@ def _given(project: Project, cell: Cell, codes: tuple[Code, ...]) -> tuple[Given
         f"user frames or tools are those of {code.name}" for code in codes if names[code.file] in (USER_FRAMES, TOOLS)
     ]
     frames = joined_frames("user frame", cell.frames.bases, robot, users)
-    return Given(robot, frames, joined_frames("tool", cell.frames.tools, HERE, tools)), tuple(notes)
+    return StatedFrames(robot, frames, joined_frames("tool", cell.frames.tools, HERE, tools)), tuple(notes)
 
 
 def _assumptions(assumed: set[str], cell: Cell) -> tuple[str, ...]:

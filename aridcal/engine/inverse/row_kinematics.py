@@ -14,7 +14,7 @@ from aridcal.engine.corrections.effect import direction
 from aridcal.engine.corrections.labels import is_label, label_in
 from aridcal.engine.corrections.loads import Surroundings, bearing_components, covariate_table, is_load, needs
 from aridcal.engine.corrections.sights import TARGET
-from aridcal.engine.model.model import Frames, Model
+from aridcal.engine.model.model import LabelledFrames, Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.drive import Drive
 from aridcal.system.errors import CovariateNotFound, nearest
@@ -243,7 +243,7 @@ def _curve(joint: int, of: int, centres: np.ndarray, step: float, theta: np.ndar
     return _Curve(joint, of, start, step, pieces.tolist())
 
 
-def _at(label: str | None, frames: Frames, values: np.ndarray) -> np.ndarray:
+def _at(label: str | None, frames: LabelledFrames, values: np.ndarray) -> np.ndarray:
     """The value of the frame with a label, from those of all frames, or from the one for all."""
     return np.asarray(values[[name for name, _ in frames].index(label) if len(values) > 1 else 0])
 

@@ -10,11 +10,11 @@ import numpy as np
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.sights import Sights
 from aridcal.engine.fit.constants import constants, frame_coefficients, frame_labels, station_labels
-from aridcal.engine.fit.least_squares import UNKNOWN_NOISE
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.fit.least_squares import FIRST_NOISE
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import TIP, Block, Instruments
 from aridcal.engine.inverse.reachable import draw_readings
-from aridcal.engine.model.model import SIZES, Model
+from aridcal.engine.model.model import UNIT_SIZES, Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.collisions import Bodies, bodies_of
 from aridcal.engine.robot.kinematics import tip_frames
@@ -25,13 +25,19 @@ from aridcal.engine.search.loop import fit_arm, fit_constants, surroundings
 from aridcal.files.campaign import Campaign
 from aridcal.files.purposes import Box
 from aridcal.files.read import load_measurements, with_routes
-from aridcal.files.things import Known, Rows, instruments_of, known_of, with_trackers
+from aridcal.files.things import (
+    InstrumentDeclarations,
+    ThingReferences,
+    instrument_declarations,
+    instruments_of,
+    with_trackers,
+)
 from aridcal.jobs.plan.clearance import ARM_HALF_THICKNESS
-from aridcal.jobs.plan.mounting import mounting_side, stands_above
-from aridcal.system.errors import CampaignError, MeasurementError, listed
+from aridcal.jobs.plan.mounting import keeps_above, mounting_side
+from aridcal.system.errors import CampaignError, MeasurementError, name_list
 from aridcal.system.progress import SILENT, Progress
 
-PLANNED_KINDS = tuple(name for name, kind in KINDS.items() if not kind.of_head)
+PLANNED_KINDS = tuple(name for name, kind in MEASUREMENT_KINDS.items() if not kind.of_head)
 """Kinds of measurements that can be planned. What a shot of camera and sonars tells hangs on which squares it shows, and how well
 these are found in the image: that is known of images only."""
 
@@ -130,11 +136,11 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
         raise CampaignError(
             f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned, as what a shot tells "
             "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
-            f"head, and take those that show a square. Others that can be planned: {listed(PLANNED_KINDS[1:])}"
+            f"head, and take those that show a square. Others that can be planned: {name_list(PLANNED_KINDS[1:])}"
         )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
-    remarks = (ANGLES_ALONE,) if KINDS[kind].level else ()
+    remarks = (ANGLES_ALONE,) if MEASUREMENT_KINDS[kind].level else ()
     if not missing:
         setup = _from_rows(campaign, robot, bodies(campaign.design.keep_out or (), robot), progress)
         return replace(setup, notices=(*remarks, *setup.notices))
@@ -148,7 +154,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
             "its own"
         )
-    if KINDS[kind].joins:
+    if MEASUREMENT_KINDS[kind].joins:
         raise CampaignError(
             f"{campaign.path}: measurements.kind: nothing was measured yet, and nothing else says how the body lies in the hands "
             "that hold it: move both arms with it to a few postures, record them, and plan more rows of that grasp"
@@ -220,7 +226,7 @@ def _side(campaign: Campaign, robot: Robot, readings: np.ndarray) -> float:
         return 0.0
     side = mounting_side(robot) if campaign.design.keep_out is None else 0.0
     flanges = tip_frames(robot, readings)[1]
-    return side if side and stands_above(robot, side, readings, flanges).all() else 0.0
+    return side if side and keeps_above(robot, side, readings, flanges).all() else 0.0
 
 
 def _patterns(rows: Dataset) -> Dataset:
@@ -252,7 +258,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> PlanSetup
             f"{campaign.path}: frames: `per: station`: nothing was measured yet, so that no station is known; plan for one, "
             "without this key"
         )
-    things = known_of(campaign)
+    things = instrument_declarations(campaign)
     refers = _labels_referred(campaign, things)
     labels = _targets(campaign, robot)
     refers, target = np.repeat(refers, max(1, len(labels)), axis=0), np.tile(labels, len(refers))
@@ -260,7 +266,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> PlanSetup
     kind, n = settings.traits, len(refers)
     channels = kind.channels
     declared = tuple(getattr(settings.noise, channel.name) for channel in channels)
-    sigma = np.array([s or UNKNOWN_NOISE * SIZES[c.unit] for s, c in zip(declared, channels, strict=True)])
+    sigma = np.array([s or FIRST_NOISE * UNIT_SIZES[c.unit] for s, c in zip(declared, channels, strict=True)])
     turns = np.tile(np.eye(3), (n, 1, 1)) if kind.oriented else None
     rows = dataset(robot.readings, robot.kinds, np.tile(middle, (n, 1)), np.zeros((n, 3)), turns, sigma=sigma.tolist())
     directions = tuple(f"{name}_direction" for name in robot.readings)
@@ -269,7 +275,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> PlanSetup
         blocks = (Block(settings.title, settings.kind, channels, tuple(sigma.tolist())),)
         refers = with_trackers(refers, blocks, rows.labels.block, robot.readings)
         instruments = _with_known_places(
-            instruments_of(things, [Rows(kind, refers)], robot.readings, False)[0], campaign
+            instruments_of(things, [ThingReferences(kind, refers)], robot.readings, False)[0], campaign
         )
         rows = replace(
             rows,
@@ -330,7 +336,7 @@ def _targets(campaign: Campaign, robot: Robot) -> list[str]:
     return list(campaign.instruments.targets)
 
 
-def _labels_referred(campaign: Campaign, things: Known) -> np.ndarray:
+def _labels_referred(campaign: Campaign, things: InstrumentDeclarations) -> np.ndarray:
     """Labels of all that rows may refer to, one row for each choice, shape (n, 3)."""
     settings, declared = campaign.measurements, campaign.instruments.declared
     kind = settings.traits

@@ -9,13 +9,13 @@ import numpy as np
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.corrections.regional_kind import is_local
 from aridcal.engine.instruments.channels import columns
-from aridcal.engine.levels import BLOCKS, SURELY
+from aridcal.engine.levels import JUDGING_FOLDS, SURELY
 from aridcal.engine.search.linear_model import LinearModel
 from aridcal.engine.search.scoring import held_back_squares
 from aridcal.engine.search.state import State, solve_state
 
 
-def missed(model: LinearModel, state: State) -> State:
+def needed_effects(model: LinearModel, state: State) -> State:
     """The model without effects that do not improve held-back rows; declared effects stay.
 
     Effects are taken out one at a time, that of the least gain first, and all others are solved anew. The model is linear
@@ -51,7 +51,7 @@ def _held_back_gains(model: LinearModel, state: State, effects: Collection[Effec
     """Gain of effects: how much they lower the squared error of held-back rows, in standard errors."""
     number = np.random.default_rng(1).permutation(int(model.configuration.max()) + 1)
     configuration = model.configuration[state.used]
-    block = number[configuration] % BLOCKS
+    block = number[configuration] % JUDGING_FOLDS
     ends = len(model.gauge) + np.cumsum([0, *(a.modes.shape[1] for a in state.active)])
     everything = np.ones(len(state.precision), dtype=bool)
     without = {}

@@ -15,7 +15,7 @@ from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.least_squares import Convergence, Fit, fit_identifiable
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.stages import recentred
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import Block
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Route
@@ -24,17 +24,17 @@ from aridcal.engine.rows.row_facts import Labels
 from aridcal.engine.search.residual_trends import Order, Traces
 from aridcal.engine.trust.uncertainty import precision
 from aridcal.files.campaign import Campaign
-from aridcal.files.things import Known, Rows, instruments_of, with_trackers
+from aridcal.files.things import InstrumentDeclarations, ThingReferences, instruments_of, with_trackers
 from aridcal.jobs.calibrate.outcome import Outcome, Stage
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.calibrate.verdict import Verdict
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
-from aridcal.jobs.maintain.checking import CheckResult, asked, with_unknowns
+from aridcal.jobs.maintain.checking import CheckResult, new_rows_question, with_unknowns
 from aridcal.jobs.maintain.hypotheses import widened
 from aridcal.jobs.maintain.likelihoods import covariance_of, likely
-from aridcal.jobs.maintain.repair import Repaired
-from aridcal.jobs.maintain.repair_error import left_out
-from aridcal.jobs.maintain.unknowns import wide_of
+from aridcal.jobs.maintain.repair import Repair
+from aridcal.jobs.maintain.repair_error import left_out_residuals
+from aridcal.jobs.maintain.unknowns import wide_model
 from aridcal.system.errors import CampaignError
 
 CONFIGURATIONS_PREDICTED = 400
@@ -48,7 +48,7 @@ class RepairOutcomes:
     Attributes:
         rows: The new rows against the nominal robot, the calibration ``before``, the repaired geometry and the repaired model.
         model: The repaired model's own predictions, where it was calibrated, against nominal, geometric and final stage.
-        left_out: Residuals with what moved fitted to the other rows, shape (N, m); see :func:`left_out`.
+        left_out: Residuals with what moved fitted to the other rows, shape (N, m); see :func:`left_out_residuals`.
     """
 
     rows: Outcome
@@ -56,7 +56,7 @@ class RepairOutcomes:
     left_out: np.ndarray
 
 
-def repair_outcomes(saved: SavedModel, checked: CheckResult, repair: Repaired) -> RepairOutcomes:
+def repair_outcomes(saved: SavedModel, checked: CheckResult, repair: Repair) -> RepairOutcomes:
     """Residuals of a repaired calibration at the new rows, and at its own predictions.
 
     Args:
@@ -81,7 +81,7 @@ def repair_outcomes(saved: SavedModel, checked: CheckResult, repair: Repaired) -
     )
     noise = checked.question.times * checked.noise.sigma
     final = SolvedModel(checked.wide.model, solution.theta, covariance_of(checked.question, solution))
-    start = asked(checked.wide, checked.rows, checked.noise, checked.unknowns.unknown)
+    start = new_rows_question(checked.wide, checked.rows, checked.noise, checked.unknowns.unknown)
     old = SolvedModel(checked.wide.model, with_unknowns(start), checked.wide.covariance)
     of_rows = (
         *(
@@ -107,7 +107,7 @@ def repair_outcomes(saved: SavedModel, checked: CheckResult, repair: Repaired) -
         model=_outcome(
             saved.campaign, predicted, of_model, np.zeros(CONFIGURATIONS_PREDICTED, dtype=bool), sigma, verdict
         ),
-        left_out=left_out(checked, solution.theta),
+        left_out=left_out_residuals(checked, solution.theta),
     )
 
 
@@ -166,17 +166,17 @@ def _predicted(saved: SavedModel) -> Dataset:
 def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
     """Rows of poses in the form of a robot of several limbs: a tracker's readings of targets, each on its own link."""
     assert saved.campaign is not None
-    model, kind, n = saved.final.model, KINDS[saved.kind], len(rows)
+    model, kind, n = saved.final.model, MEASUREMENT_KINDS[saved.kind], len(rows)
     blocks = (Block("the calibration", kind.name, rows.channels, rows.sigma),)
     refers = with_trackers(rows.labels.refers, blocks, rows.labels.block, rows.names)
-    known = Known(saved.campaign.instruments, {}, {}, saved.campaign.path.name)
+    known = InstrumentDeclarations(saved.campaign.instruments, {}, {}, saved.campaign.path.name)
     both = saved.frames_by == "both"
     target = rows.labels.target if both else rows.labels.station
     ends = [None] * n if target is None else [model.target_on.get(label) for label in target.tolist()]
     return replace(
         rows,
         blocks=blocks,
-        instruments=instruments_of(known, [Rows(kind, refers)], rows.names, False)[0],
+        instruments=instruments_of(known, [ThingReferences(kind, refers)], rows.names, False)[0],
         labels=Labels(
             block=rows.labels.block,
             refers=refers,
@@ -209,8 +209,8 @@ def _frame_coefficients(model: Model) -> tuple[Coefficient, ...]:
 
 def _beside(name: str, solved: SolvedModel, checked: CheckResult, constants_set: str) -> Stage:
     """A stage with the residuals of the new rows, their unknowns fitted to them."""
-    wide = wide_of(widened(solved), checked.rows)
-    question = asked(wide.solved, checked.rows, checked.noise, wide.unknown)
+    wide = wide_model(widened(solved), checked.rows)
+    question = new_rows_question(wide.solved, checked.rows, checked.noise, wide.unknown)
     theta = with_unknowns(question)
     arm = _without_zeros(SolvedModel(wide.solved.model, theta, wide.solved.covariance))
     return Stage(name, *_fit(question.problem, arm, checked.noise.sigma, constants_set))

@@ -11,7 +11,7 @@ from aridcal.engine.fit.constants import stage_urdf
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.instruments.pose import residuals
 from aridcal.engine.model.model import Model
-from aridcal.engine.robot.chain import same_chain
+from aridcal.engine.robot.chain import chain_in_urdf
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.jobs.head1992.doty1992 import link_table, links_from_poses, pose
 
@@ -55,7 +55,7 @@ def closed_form(geometric: Fit, rows: Dataset, some: np.ndarray) -> ClosedForm |
     base, target = (frames[0][1].homogeneous for frames in (model.world_base, model.tip_target))
     predicted = base @ pose(links, robot.positions(rows.readings)) @ target
     residual = residuals(predicted[:, :3, :3], predicted[:, :3, 3], rows.position, rows.rotation)
-    return ClosedForm(link_table(robot), links, link_table(same_chain(robot, stage_urdf(geometric))), residual)
+    return ClosedForm(link_table(robot), links, link_table(chain_in_urdf(robot, stage_urdf(geometric))), residual)
 
 
 def closed_form_starts(fit: Fit, rows: Dataset) -> list[np.ndarray]:

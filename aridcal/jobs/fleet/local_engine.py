@@ -11,7 +11,7 @@ R = TypeVar("R")
 
 
 @dataclass(frozen=True)
-class Broken:
+class WorkFailure:
     """In place of an answer: the work itself failed, which it is not meant to.
 
     Attributes:
@@ -28,7 +28,7 @@ class EngineGone(Exception):
 class Engine(Protocol):
     """Does work for each of many tasks."""
 
-    def __call__(self, work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | Broken]]:
+    def __call__(self, work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | WorkFailure]]:
         """Give each task's answer as soon as it is there.
 
         Args:
@@ -40,13 +40,13 @@ class Engine(Protocol):
         """
 
 
-def here(work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | Broken]]:
+def run_tasks(work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | WorkFailure]]:
     """Do one task after another in this process."""
     for name, task in tasks.items():
         try:
-            answer: R | Broken = work(task)
+            answer: R | WorkFailure = work(task)
         except Exception as problem:
-            answer = Broken(in_words(problem))
+            answer = WorkFailure(in_words(problem))
         yield name, answer
 
 

@@ -7,24 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from aridcal.engine.corrections.catalogue import KINDS, Barred
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, UntestableEffect
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.regional_kind import is_of_labels, widths
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.search.candidates import hinted
+from aridcal.engine.search.candidates import hinted_candidates
 from aridcal.engine.search.change_points import best_steps
 from aridcal.engine.search.curves import reshaped
-from aridcal.engine.search.evidence import DEPENDENT
-from aridcal.engine.search.linear_model import Active, LinearModel
-from aridcal.engine.search.scoring import held_back, held_out_whole, judge, score_of
+from aridcal.engine.search.evidence import DEPENDENT_SHARE
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
+from aridcal.engine.search.scoring import held_back_errors, held_out_whole, judge, score_of
 from aridcal.engine.search.screening import score_all
 from aridcal.engine.search.sets import Choices
 from aridcal.engine.search.state import State, activate, solve_state
 
-CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"
+CONFOUNDED_SENTENCE = "it is confounded with what is fitted without it: no row tells them apart"
 """Why a declared effect was left out."""
 
-NO_BETTER = "rows held back are predicted no better with it: the one model of the whole workspace stays"
+NOT_BETTER_HELD_BACK = "rows held back are predicted no better with it: the one model of the whole workspace stays"
 """Why a declared deviation from that model was left out."""
 
 
@@ -32,46 +32,46 @@ MOST_DENTS = 6
 """Work: Places at which targets are off that are found one by one, as many as other effects without a name."""
 
 
-def with_declared(
+def add_declared_effects(
     linear: LinearModel, effects: Sequence[Effect], row_unknown: Sequence[bool], geometric: Fit
-) -> tuple[State, list[Barred]]:
+) -> tuple[State, list[UntestableEffect]]:
     """The model with the declared effects, which need no evidence, and those that are left out.
 
     Left out are effects that the rows do not tell from the constants and the effects before, single motions of which the same
     is true (:func:`_identifiable`), and constants by region with which held-back rows are predicted no better. A step goes to
     the best row where ``row_unknown`` says that none was declared. Fields without a cause wait for :func:`with_fields`.
     """
-    barred: list[Barred] = []
+    barred: list[UntestableEffect] = []
     state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
     waiting: list[Effect] = []
     # Curves last: shaped before others are in the model, one may do all that these do, and they would seem confounded with it.
     for effect, anywhere in sorted(zip(effects, row_unknown, strict=True), key=lambda pair: pair[0].smooth):
-        if KINDS[effect.kind].asked:
-            waiting += [effect] if KINDS[effect.kind].named else []
+        if EFFECT_KINDS[effect.kind].on_request:
+            waiting += [effect] if EFFECT_KINDS[effect.kind].named else []
             continue
         if anywhere and effect.at is not None:
             effect = next(iter(best_steps(linear, state, [effect])), effect)
         if score_all(linear, [effect], state)[0].freedom == 0:
-            barred.append(_barred(effect, CONFOUNDED))
+            barred.append(_barred(effect, CONFOUNDED_SENTENCE))
             continue
         part = _identifiable(state, effect)
         mute = [c.name for c in effect.coefficients if c not in part.coefficients]
-        barred += [Barred(f"{name}, of the declared {effect.label},", CONFOUNDED) for name in mute]
+        barred += [UntestableEffect(f"{name}, of the declared {effect.label},", CONFOUNDED_SENTENCE) for name in mute]
         state = state.with_active((*state.active, _as_declared(state, part)))
     state, barred_regions = _with_regions(state, waiting)
     return reshaped(state, lambda a: a.declared), [*barred, *barred_regions]
 
 
-def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[Barred]]:
+def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[UntestableEffect]]:
     """The model with declared fields of shifts that improve it beside all other effects, and the fields that are left out.
 
     They come last because a field can imitate any cause.
     """
-    fields = [e for e in effects if not KINDS[e.kind].named and KINDS[e.kind].asked]
+    fields = [e for e in effects if not EFFECT_KINDS[e.kind].named and EFFECT_KINDS[e.kind].on_request]
     if not fields:
         return state, []
     for _ in range(MOST_DENTS):
-        loud = hinted(state, {fields[0].kind})
+        loud = hinted_candidates(state, {fields[0].kind})
         worthwhile = [
             _as_declared(state, e) for e in loud if not judge(state, e, score_of(state, e), Choices.of([e])).why
         ]
@@ -83,7 +83,7 @@ def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[Ba
     return state, [] if dented else barred
 
 
-def _with_regions(state: State, waiting: Sequence[Effect]) -> tuple[State, list[Barred]]:
+def _with_regions(state: State, waiting: Sequence[Effect]) -> tuple[State, list[UntestableEffect]]:
     """The model with deviations by region that improve it, the best first, one at a time; and those that are left out."""
     rest = list(waiting)
     while rest:
@@ -95,13 +95,13 @@ def _with_regions(state: State, waiting: Sequence[Effect]) -> tuple[State, list[
         rest.remove(effect)
         state = state.with_active((*state.active, best))
     tied = _confounded_labels(state, rest)
-    return state, [_barred(e, CONFOUNDED if e in tied else NO_BETTER) for e in rest]
+    return state, [_barred(e, CONFOUNDED_SENTENCE if e in tied else NOT_BETTER_HELD_BACK) for e in rest]
 
 
-def tied_to_frames(state: State, candidates: Sequence[Effect]) -> list[Barred]:
+def frame_imitations(state: State, candidates: Sequence[Effect]) -> list[UntestableEffect]:
     """Deviations of labels that imitate the model's own columns: mostly frames that each label has to itself."""
     tied = _confounded_labels(state, candidates)
-    return [Barred(f"{e.label}, moving {' '.join(e.motion)},", CONFOUNDED) for e in tied]
+    return [UntestableEffect(f"{e.label}, moving {' '.join(e.motion)},", CONFOUNDED_SENTENCE) for e in tied]
 
 
 def _confounded_labels(state: State, effects: Sequence[Effect]) -> list[Effect]:
@@ -114,16 +114,16 @@ def _confounded_labels(state: State, effects: Sequence[Effect]) -> list[Effect]:
     for effect in of_labels:
         C = state.whitened(state.flat(state.model.columns(effect)))
         remainder = C - Q @ (Q.T @ C)
-        if np.all(np.sum(remainder**2, axis=0) <= DEPENDENT * np.sum(C**2, axis=0)):
+        if np.all(np.sum(remainder**2, axis=0) <= DEPENDENT_SHARE * np.sum(C**2, axis=0)):
             confounded.append(effect)
     return confounded
 
 
-def _predicts_better(state: State, candidate: Active) -> bool:
+def _predicts_better(state: State, candidate: ActiveEffect) -> bool:
     """True if a candidate has evidence and predicts held-back rows better; constants by region in whole regions, too."""
     if candidate.score.gain <= 0.0 or candidate.score.freedom == 0:
         return False
-    without, with_it = held_back(state, candidate, state.fold).sum(axis=(1, 2))
+    without, with_it = held_back_errors(state, candidate, state.fold).sum(axis=(1, 2))
     return bool(with_it < without) and held_out_whole(state, candidate) > 0.0
 
 
@@ -143,10 +143,10 @@ def _identifiable(state: State, effect: Effect) -> Effect:
     return replace(effect, coefficients=identifiable)
 
 
-def _as_declared(state: State, effect: Effect) -> Active:
+def _as_declared(state: State, effect: Effect) -> ActiveEffect:
     """A declared effect ready for the model, with the shape that suits the data if it is smooth."""
     return replace(activate(state, effect, score_of(state, effect)), declared=True)
 
 
-def _barred(effect: Effect, why: str) -> Barred:
-    return Barred(f"{effect.label}, which is declared,", why)
+def _barred(effect: Effect, why: str) -> UntestableEffect:
+    return UntestableEffect(f"{effect.label}, which is declared,", why)

@@ -7,11 +7,11 @@ from functools import partial
 
 import numpy as np
 
-from aridcal.engine.inverse.reachable import off_the_limits
-from aridcal.jobs.plan.beforehand import PlanSetup
+from aridcal.engine.inverse.reachable import inner_limits
 from aridcal.jobs.plan.configurations import Candidates, allowed, in_sight
-from aridcal.jobs.plan.information import Told, rows_of
-from aridcal.jobs.plan.row_exchange import Choice, taken_away, updated, weights_of_the_worst, worth_of
+from aridcal.jobs.plan.information import CandidateInformation, rows_of
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
+from aridcal.jobs.plan.row_exchange import RowChoice, covariances_without, gain_of_rows, updated, weights_of_the_worst
 
 STEP_SHARES = (0.15, 0.15, 0.08, 0.08, 0.04, 0.04, 0.02, 0.02)
 """Steps tried in turn, as a share of each joint's range: from as far as candidates lie apart to where nothing more is gained."""
@@ -21,7 +21,7 @@ PLACES_TRIED = 16
 
 
 @dataclass(frozen=True)
-class Refined:
+class RefinedCandidates:
     """Configurations, and their rows of the Jacobian.
 
     Attributes:
@@ -33,7 +33,13 @@ class Refined:
     rows: np.ndarray
 
 
-def refined(setup: PlanSetup, unknowns: Told, choice: Choice, pool: Refined, rng: np.random.Generator) -> Refined:
+def refined(
+    setup: PlanSetup,
+    unknowns: CandidateInformation,
+    choice: RowChoice,
+    pool: RefinedCandidates,
+    rng: np.random.Generator,
+) -> RefinedCandidates:
     """A choice with each member moved to better places nearby, as long as there are any.
 
     A pattern search: what is tried around each is compared with all others where they are (coordinate exchange: Meyer and
@@ -58,8 +64,13 @@ def refined(setup: PlanSetup, unknowns: Told, choice: Choice, pool: Refined, rng
 
 
 def _stepped(
-    setup: PlanSetup, unknowns: Told, choice: Choice, current: Refined, share: float, rng: np.random.Generator
-) -> Refined:
+    setup: PlanSetup,
+    unknowns: CandidateInformation,
+    choice: RowChoice,
+    current: RefinedCandidates,
+    share: float,
+    rng: np.random.Generator,
+) -> RefinedCandidates:
     """The choice with every configuration in turn moved to the best of some places around it."""
     n = len(current.candidates.readings)
     nearby = _around(setup, current.candidates, share, rng)
@@ -70,9 +81,9 @@ def _stepped(
     covariance, solved = np.linalg.inv(M), np.linalg.inv(M[instruments, instruments])
     for k in range(n):
         without_row = partial(replace(choice, rows=planned).information, [other for other in range(n) if other != k])
-        without, instruments_without = taken_away(choice, covariance, solved, planned[k], without_row)
+        without, instruments_without = covariances_without(choice, covariance, solved, planned[k], without_row)
         places = np.arange(k * PLACES_TRIED, (k + 1) * PLACES_TRIED)
-        gain = worth_of(choice, np.concatenate([planned[k][None], rows[places]]), without, instruments_without, 1.0)
+        gain = gain_of_rows(choice, np.concatenate([planned[k][None], rows[places]]), without, instruments_without, 1.0)
         for best in np.argsort(-gain[1:], kind="stable").tolist():
             if gain[1 + best] <= gain[0]:
                 break
@@ -84,12 +95,12 @@ def _stepped(
             updated(without, planned[k], 1.0),
             updated(instruments_without, planned[k][:, instruments], 1.0),
         )
-    return Refined(replace(current.candidates, readings=readings), planned)
+    return RefinedCandidates(replace(current.candidates, readings=readings), planned)
 
 
 def _around(setup: PlanSetup, candidates: Candidates, share: float, rng: np.random.Generator) -> Candidates:
     """Places around configurations, :data:`PLACES_TRIED` for each, off the limits."""
-    low, high = off_the_limits(setup.robot)
+    low, high = inner_limits(setup.robot)
     n, columns = candidates.readings.shape
     step = share * (high - low) * rng.standard_normal((n, PLACES_TRIED, columns))
     half = PLACES_TRIED // 2

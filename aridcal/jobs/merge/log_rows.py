@@ -10,22 +10,22 @@ import pandas as pd
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.files.orientations import QUATERNION
-from aridcal.files.quantities import POSITION, STD
+from aridcal.files.quantities import POSITION_COLUMNS, STD
 from aridcal.files.yaml_file import FINEST
-from aridcal.jobs.merge.alignment import Moves, improved, jump, placed, window_means
+from aridcal.jobs.merge.alignment import Moves, align_frames, improved, jump, window_means
 from aridcal.jobs.merge.averages import Averages, averages, without_spikes
 from aridcal.jobs.merge.clocks import MOST_DRIFT, Clocks
-from aridcal.jobs.merge.log import Log, seen
+from aridcal.jobs.merge.log import Log, without_blind_samples
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
 from aridcal.jobs.merge.offsets import FEWEST_STANDSTILLS, best_offset, too_few
-from aridcal.jobs.merge.others import carried
+from aridcal.jobs.merge.other_columns import window_values
 from aridcal.jobs.merge.pairs import FEWEST_SAMPLES as FEWEST_SAMPLES
-from aridcal.jobs.merge.pairs import Pairs, pairs, settled, within
+from aridcal.jobs.merge.pairs import Pairs, pairs, settled, window_samples
 from aridcal.jobs.merge.standstills import Standstills, limit_of, speeds, standstills
-from aridcal.jobs.merge.written_as import TrackerRows, in_si, tracked
-from aridcal.jobs.prepare.condition_columns import SAMPLES
-from aridcal.jobs.prepare.guesses import Asker
-from aridcal.jobs.prepare.propose import STRANGE_SHARE
+from aridcal.jobs.merge.tracker_format import TrackerRows, in_si, tracked
+from aridcal.jobs.prepare.campaign_proposal import STRANGE_SHARE
+from aridcal.jobs.prepare.condition_columns import SAMPLES_COLUMN
+from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.system.errors import MeasurementError
 
 FAR_RATIO = 10.0
@@ -37,12 +37,12 @@ ALIGNMENT_ROUNDS = 12
 CLOCK_CHANGE_AT_END = 1e-5
 """[s]: a target at 1 m/s moves by 10 micrometres in it."""
 
-TIME = "time"
+TIME_COLUMN = "time"
 """Column of a row's time, by the joints' clock."""
 
 
 @dataclass(frozen=True)
-class Unpaired:
+class UnpairedStandstill:
     """A standstill that makes no row.
 
     Attributes:
@@ -75,7 +75,7 @@ class MergeResult:
         tips: See ``still``.
         tracker: The tracker's log, in SI.
         tracked: Its standstills, speeds in [m/s].
-        found: Windows behind the rows, K of them.
+        pairs: Windows behind the rows, K of them.
         averages: Of these windows.
         off: Measured minus nominal at each row, frames fitted, shape (K, 3), [m].
         unpaired: Standstills that make no row.
@@ -91,14 +91,14 @@ class MergeResult:
     tips: np.ndarray
     tracker: TrackerRows
     tracked: Standstills
-    found: Pairs
+    pairs: Pairs
     averages: Averages
     off: np.ndarray
-    unpaired: tuple[Unpaired, ...]
+    unpaired: tuple[UnpairedStandstill, ...]
     notices: tuple[str, ...]
 
 
-def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -> MergeResult:
+def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Chooser) -> MergeResult:
     """Join two logs.
 
     Args:
@@ -111,7 +111,7 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -
         AridcalError: the logs cannot be joined; saying why, and what to do.
     """
     place = _moving_place(measured.log, measured.places)
-    tracker = seen(measured.log, place)
+    tracker = without_blind_samples(measured.log, place)
     raw = tracker.of(place)
     tracker_still = standstills(tracker, raw)
     best, units = best_offset(robot, joints, tracker, raw, tracker_still, _still(joints))
@@ -142,25 +142,25 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -
     windows_of_both = pairs(clocks, joints.log, still, si.log, tracker_still)
     paired, at_rest = settled(windows_of_both, si.log, si.position)
     creeping = [
-        Unpaired(si.log.title, float(a), float(b), "the target never settles: wait longer at each pose")
+        UnpairedStandstill(si.log.title, float(a), float(b), "the target never settles: wait longer at each pose")
         for a, b in zip(windows_of_both.begin[~at_rest], windows_of_both.end[~at_rest], strict=True)
     ]
     paired = paired.some(np.flatnonzero(at_rest))
     if len(paired) < FEWEST_STANDSTILLS:
         raise too_few(joints.log, si.log, len(paired))
     mean = window_means(joints.log, q, clocks.joints(paired.begin), clocks.joints(paired.end))
-    windows = [within(si.log.time, a, b) for a, b in zip(paired.begin, paired.end, strict=True)]
+    windows = [window_samples(si.log.time, a, b) for a, b in zip(paired.begin, paired.end, strict=True)]
     samples, spikes = without_spikes(windows, si.position, si.steps[:3])
     average = averages(samples, si.position, si.quaternion, si.steps)
-    _, residual = placed(robot, mean, average.position)
+    _, residual = align_frames(robot, mean, average.position)
     _refuse_strange(residual, average.position, clocks.joints(0.5 * (paired.begin + paired.end)), si.log.title)
     table = _table(robot, mean, average, clocks.joints(0.5 * (paired.begin + paired.end)))
-    own_columns = {*robot.readings, *POSITION, *QUATERNION, *STD, TIME, SAMPLES}
+    own_columns = {*robot.readings, *POSITION_COLUMNS, *QUATERNION, *STD, TIME_COLUMN, SAMPLES_COLUMN}
     windows_of = {
         "joints": (joints.others, clocks.joints(paired.begin), clocks.joints(paired.end)),
         "tracker": (measured.others, paired.begin, paired.end),
     }
-    columns, remarks = carried(windows_of, own_columns)
+    columns, remarks = window_values(windows_of, own_columns)
     table = table.assign(**columns)
     spike_notes = (
         [f"{si.log.title}: {spikes} samples at standstill far from their neighbours: left out"] if spikes else []
@@ -238,29 +238,29 @@ def _refuse_strange(misses: np.ndarray, position: np.ndarray, time: np.ndarray, 
 
 def _table(robot: Robot, q: np.ndarray, average: Averages, time: np.ndarray) -> pd.DataFrame:
     """Rows in the order of time."""
-    clash = sorted(set(robot.readings) & {*POSITION, *QUATERNION, *STD, TIME, SAMPLES})
+    clash = sorted(set(robot.readings) & {*POSITION_COLUMNS, *QUATERNION, *STD, TIME_COLUMN, SAMPLES_COLUMN})
     if clash:
         raise MeasurementError(
             f"{robot.path.name}: a joint is called {clash[0]!r}, as a column of the table is; rename it"
         )
     columns: dict[str, np.ndarray] = {name: q[:, k] for k, name in enumerate(robot.readings)}
-    columns |= dict(zip(POSITION, average.position.T, strict=True))
+    columns |= dict(zip(POSITION_COLUMNS, average.position.T, strict=True))
     if average.quaternion is not None:
         columns |= dict(zip(QUATERNION, average.quaternion.T, strict=True))
     if (average.std > FINEST).all():  # of an instrument that rounds its noise away nothing is known
         columns |= dict(zip(STD, average.std.T, strict=False))
-    columns |= {TIME: time, SAMPLES: average.count}
+    columns |= {TIME_COLUMN: time, SAMPLES_COLUMN: average.count}
     return pd.DataFrame(columns)
 
 
 def _unpaired(
     clocks: Clocks, joints: Log, still: Standstills, tracker: Log, tracker_still: Standstills, paired: Pairs
-) -> list[Unpaired]:
+) -> list[UnpairedStandstill]:
     """Standstills of one log without a partner in the other, each with the reason."""
     unpaired = []
     for k in sorted(set(range(len(still))) - set(paired.joints.tolist())):
         a, b = (float(clocks.tracker(np.array([t]))[0]) for t in (still.begin[k], still.end[k]))
-        rows = within(tracker.time, a, b)
+        rows = window_samples(tracker.time, a, b)
         if b < tracker.time[0] or a > tracker.time[-1]:
             why = "before or after the tracker's log"
         elif rows.stop - rows.start < max(FEWEST_SAMPLES, 0.5 * (b - a) / tracker.period):
@@ -269,7 +269,7 @@ def _unpaired(
             why = "the tracker's target moves"
         else:
             why = "both stand together for too short a time"
-        unpaired.append(Unpaired(joints.title, float(still.begin[k]), float(still.end[k]), why))
+        unpaired.append(UnpairedStandstill(joints.title, float(still.begin[k]), float(still.end[k]), why))
     for k in sorted(set(range(len(tracker_still))) - set(paired.tracker.tolist())):
         a, b = (float(clocks.joints(np.array([t]))[0]) for t in (tracker_still.begin[k], tracker_still.end[k]))
         if b < joints.time[0] or a > joints.time[-1]:
@@ -278,5 +278,7 @@ def _unpaired(
             why = "the joints move, or have no samples"
         else:
             why = "both stand together for too short a time"
-        unpaired.append(Unpaired(tracker.title, float(tracker_still.begin[k]), float(tracker_still.end[k]), why))
+        unpaired.append(
+            UnpairedStandstill(tracker.title, float(tracker_still.begin[k]), float(tracker_still.end[k]), why)
+        )
     return unpaired

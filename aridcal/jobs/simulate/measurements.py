@@ -18,27 +18,26 @@ from aridcal.engine.corrections.sights import Sights, sights_from
 from aridcal.engine.instruments.channels import columns as parts_of
 from aridcal.engine.instruments.inclination import DOWN
 from aridcal.engine.instruments.joined import GRASP
-from aridcal.engine.instruments.kind import Kind
-from aridcal.engine.instruments.kinds import KINDS, labelled
-from aridcal.engine.instruments.pose import TRACKER, shown
+from aridcal.engine.instruments.kind import MeasurementKind
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS, labelled
+from aridcal.engine.instruments.pose import TRACKER, tracker_positions
 from aridcal.engine.instruments.setup import TIP, WORLD
-from aridcal.engine.inverse.reachable import Miss, Pose, brought, draw_readings, limits_of, settled
-from aridcal.engine.model.model import Model
-from aridcal.engine.model.model import Rows as ModelRows
+from aridcal.engine.inverse.reachable import Miss, Pose, draw_readings, limits_of, readings_for_poses, settled
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.robot.chain import Robot, Route
 from aridcal.files.instrument_settings import TargetSettings
 from aridcal.files.measurement_settings import SHOT, TARGET, MeasurementSettings
-from aridcal.files.orientations import POSITION, QUATERNION
-from aridcal.files.read import ONE_TARGET, own_target
+from aridcal.files.orientations import POSITION_COLUMNS, QUATERNION
+from aridcal.files.read import ONE_TARGET, default_target
 from aridcal.files.routes import routes_of
-from aridcal.files.things import Known, known_of
+from aridcal.files.things import InstrumentDeclarations, instrument_declarations
 from aridcal.jobs.simulate.camera_postures import Sight, Tips, draw_images, sight
 from aridcal.jobs.simulate.scenario import Scenario, TrueFrame, columns_of
-from aridcal.jobs.simulate.true_effects import Cause, Machine, draw_columns, make_causes
+from aridcal.jobs.simulate.true_effects import Machine, PreparedEffect, draw_columns, make_causes
 from aridcal.jobs.simulate.true_things import (
     MARKER_BOX,
     Around,
-    Real,
+    RealThings,
     true_anchors,
     true_grasps,
     true_planes,
@@ -59,7 +58,7 @@ PASSES, NEWTON = 5, 4
 
 
 @dataclass(frozen=True)
-class Rows:
+class BlockRows:
     """Rows of one block, n of them.
 
     Attributes:
@@ -74,7 +73,7 @@ class Rows:
         changes: Differences of the things from their states at each row, (n, u) by role; None: none.
     """
 
-    kind: Kind
+    kind: MeasurementKind
     readings: np.ndarray
     shot: np.ndarray
     refers: np.ndarray
@@ -84,7 +83,7 @@ class Rows:
     route: np.ndarray | None = None
     changes: tuple[np.ndarray, ...] | None = None
 
-    def states(self, real: Mapping[str, Real]) -> list[np.ndarray]:
+    def states(self, real: Mapping[str, RealThings]) -> list[np.ndarray]:
         """States of the things that the rows refer to, with their faults, (n, P) by role."""
         roles = self.kind.roles
         states = [real[role.name].states[self.refers[:, k]] for k, role in enumerate(roles)]
@@ -92,7 +91,13 @@ class Rows:
             return states
         return [role.moved(*each) for role, *each in zip(roles, states, self.changes, strict=True)]
 
-    def along(self, known: Known, real: Mapping[str, Real], tip: str, links: tuple[str, str] | None = None) -> Rows:
+    def along(
+        self,
+        known: InstrumentDeclarations,
+        real: Mapping[str, RealThings],
+        tip: str,
+        links: tuple[str, str] | None = None,
+    ) -> BlockRows:
         """The rows with the paths that they take.
 
         Args:
@@ -132,14 +137,14 @@ class Rows:
         route = None if self.route is None else self.route[some]
         return chains.rows(readings, columns, target=self.target[some], route=route)
 
-    def labels(self, role: str, real: Mapping[str, Real]) -> np.ndarray:
+    def labels(self, role: str, real: Mapping[str, RealThings]) -> np.ndarray:
         """Names of the things of a role that the rows refer to, empty where they have no such role, shape (n,)."""
         roles = [each.name for each in self.kind.roles]
         if role not in roles:
             return np.full(len(self.shot), "")
         return np.array(real[role].names)[self.refers[:, roles.index(role)]]
 
-    def faulty(self, real: Mapping[str, Real], faults: Model, values: np.ndarray, phi: np.ndarray) -> Rows:
+    def faulty(self, real: Mapping[str, RealThings], faults: Model, values: np.ndarray, phi: np.ndarray) -> BlockRows:
         """The rows measured with things that have faults.
 
         Args:
@@ -158,7 +163,7 @@ class Rows:
             changes.append(change)
         return replace(self, changes=tuple(changes))
 
-    def miss(self, real: Mapping[str, Real], noise: np.ndarray) -> Miss | None:
+    def miss(self, real: Mapping[str, RealThings], noise: np.ndarray) -> Miss | None:
         """How far the targets are from where they must be; None where they may be anywhere.
 
         Args:
@@ -179,7 +184,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Measured:
+class SimulatedMeasurements:
     """Measurements of a machine.
 
     Attributes:
@@ -190,9 +195,9 @@ class Measured:
     """
 
     tables: tuple[pd.DataFrame, ...]
-    causes: tuple[Cause, ...]
+    causes: tuple[PreparedEffect, ...]
     outliers: tuple[np.ndarray, ...]
-    real: dict[str, Real]
+    real: dict[str, RealThings]
 
 
 def targets(scenario: Scenario, tip: pin.SE3) -> dict[str, pin.SE3]:
@@ -207,7 +212,7 @@ def targets(scenario: Scenario, tip: pin.SE3) -> dict[str, pin.SE3]:
 def _labels_of_block(scenario: Scenario, block: MeasurementSettings) -> list[str]:
     """Labels of the targets that a block's rows measure: the one that it names, or all that no block names."""
     if block.traits.bare or (block.traits.level and block.target is None):
-        return [own_target(block.traits, block.title)]
+        return [default_target(block.traits, block.title)]
     if block.target is not None:
         return [block.target]
     of_other_blocks = [other.title for other in scenario.blocks if other.traits.level]
@@ -216,9 +221,9 @@ def _labels_of_block(scenario: Scenario, block: MeasurementSettings) -> list[str
     return [name for name in stated if name not in of_other_blocks] or [ONE_TARGET]
 
 
-def measured(
+def simulate_measurements(
     scenario: Scenario, machine: Machine, around: Surroundings, streams: Sequence[np.random.Generator]
-) -> Measured:
+) -> SimulatedMeasurements:
     """Measure a machine with all blocks of a scenario.
 
     Args:
@@ -233,7 +238,7 @@ def measured(
     configurations, noise, outliers, chance, of_things = streams
     truth, robot = scenario.truth, machine.robot
     streams_of_blocks = configurations.spawn(len(scenario.blocks) + 1)
-    known, things = known_of(scenario), truth.instruments
+    known, things = instrument_declarations(scenario), truth.instruments
     roles = ("point", "anchor", "plane", "camera", "link", GRASP.name)
     of_role = dict(zip(roles, of_things.spawn(len(roles)), strict=True))
     around_things = _around_things(scenario, machine, streams_of_blocks[-1], of_role["link"])
@@ -244,8 +249,8 @@ def measured(
         GRASP.name: lambda rng: _grasps(scenario, machine, rng),
     }
     trackers = tuple(block.title for block in scenario.blocks if block.traits.tracked)
-    faultless = {TRACKER.name: Real(trackers, np.zeros((len(trackers), TRACKER.size)))}
-    real: dict[str, Real] = {}
+    faultless = {TRACKER.name: RealThings(trackers, np.zeros((len(trackers), TRACKER.size)))}
+    real: dict[str, RealThings] = {}
     for role in dict.fromkeys(role.name for block in scenario.blocks for role in block.traits.roles):
         real |= {role: draw_things[role](of_role[role])} if role in draw_things else {}
     images: Sight | None = None
@@ -268,7 +273,7 @@ def measured(
         R, p = chains.poses(true, each.seen_by(chains, each.readings, columns[number]))
         values = _read(each, R, p, things_of_rows, errors[number])
         tables.append(_table(scenario, number, block, robot, each, things_of_rows, values, columns[number]))
-    return Measured(tuple(tables), tuple(causes), tuple(wrong), real)
+    return SimulatedMeasurements(tuple(tables), tuple(causes), tuple(wrong), real)
 
 
 def _around_things(
@@ -285,13 +290,13 @@ def _around_things(
     return lambda carrier: reached if carrier == WORLD else near
 
 
-def _grasps(scenario: Scenario, machine: Machine, rng: np.random.Generator) -> Real:
+def _grasps(scenario: Scenario, machine: Machine, rng: np.random.Generator) -> RealThings:
     """Poses in which two links take a body, of all blocks: those of postures off the limits, so that many others reach them."""
     grasps = []
     for number, block in enumerate(scenario.blocks):
         if block.links is not None:
             (route,) = routes_of(
-                known_of(scenario), block.kind, np.full((1, 1), ""), None, machine.robot.tip, block.links
+                instrument_declarations(scenario), block.kind, np.full((1, 1), ""), None, machine.robot.tip, block.links
             )
 
             def draw_poses(count: int, route: Route = route) -> tuple[np.ndarray, np.ndarray]:
@@ -302,7 +307,7 @@ def _grasps(scenario: Scenario, machine: Machine, rng: np.random.Generator) -> R
 
             grasps.append(true_grasps(_of_grasps(scenario, number), scenario.truth.instruments.grasps, draw_poses))
     names = tuple(name for each in grasps for name in each.names)
-    return Real(names, np.concatenate([each.states for each in grasps]))
+    return RealThings(names, np.concatenate([each.states for each in grasps]))
 
 
 def _of_grasps(scenario: Scenario, number: int) -> str:
@@ -311,7 +316,7 @@ def _of_grasps(scenario: Scenario, number: int) -> str:
     return f"{scenario.blocks[number].title}_{GRASP.name}" if several else GRASP.name
 
 
-def _tips(known: Known, machine: Machine) -> Tips:
+def _tips(known: InstrumentDeclarations, machine: Machine) -> Tips:
     """Poses of a camera's carrier in a board's carrier, or of the board's carrier in the world if that carries the camera."""
 
     @cache
@@ -326,18 +331,18 @@ def _first_rows(
     scenario: Scenario,
     number: int,
     machine: Machine,
-    known: Known,
-    real: Mapping[str, Real],
+    known: InstrumentDeclarations,
+    real: Mapping[str, RealThings],
     cameras_seen: Sight | None,
     rng: np.random.Generator,
-) -> Rows:
+) -> BlockRows:
     """Rows of a block, the machine without its effects."""
     block, truth = scenario.blocks[number], scenario.truth
     place = f"{scenario.path}: {scenario.place(number)}"
-    kind, n = KINDS[block.kind], truth.n
+    kind, n = MEASUREMENT_KINDS[block.kind], truth.n
     nominal, theta = machine.model()
 
-    def pose(of: Rows) -> Pose:
+    def pose(of: BlockRows) -> Pose:
         chains = of.chains(nominal)
         return lambda readings, some: chains.poses(theta, of.seen_by(chains, readings, some=some))
 
@@ -349,7 +354,7 @@ def _first_rows(
         readings, shown = draw_images(cameras_seen, camera, _tips(known, machine), draw, place)
         shot, marker = np.nonzero(shown)
         refers = np.column_stack([camera[shot], cameras_seen.board_of[marker], marker])
-        rows = Rows(kind, readings[shot], shot, refers, np.full(len(shot), TIP), np.zeros(len(shot)))
+        rows = BlockRows(kind, readings[shot], shot, refers, np.full(len(shot), TIP), np.zeros(len(shot)))
         return rows.along(known, real, machine.robot.tip)
     labels = _labels_of_block(scenario, block)
     shot = np.arange(n)
@@ -362,17 +367,17 @@ def _first_rows(
         refers = (first + shot * truth.instruments.grasps // n)[:, None]
     target = np.array(labels)[shot // count % len(labels)]
     gauge = truth.instruments.gauge if kind.gauges else 0.0
-    rows = Rows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
+    rows = BlockRows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
     rows = rows.along(known, real, machine.robot.tip, block.links)
     miss = rows.miss(real, np.zeros((n, 1)))
     if miss is None:
         return replace(rows, readings=draw_readings(machine.robot, n, rng))
     advice = "name other links" if kind.joins else "move those under `truth.instruments`"
-    return replace(rows, readings=brought(machine.robot, pose(rows), miss, n, rng, place, advice))
+    return replace(rows, readings=readings_for_poses(machine.robot, pose(rows), miss, n, rng, place, advice))
 
 
 def _errors(
-    scenario: Scenario, rows: Rows, noise: np.random.Generator, outliers: np.random.Generator
+    scenario: Scenario, rows: BlockRows, noise: np.random.Generator, outliers: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors of the numbers that a block reads, shape (n, m), and which rows are grossly wrong, shape (n,) bool."""
     truth, channels = scenario.truth, rows.kind.channels
@@ -392,13 +397,13 @@ def _errors(
 def _with_effects(
     scenario: Scenario,
     machine: Machine,
-    known: Known,
-    rows: list[Rows],
-    real: Mapping[str, Real],
+    known: InstrumentDeclarations,
+    rows: list[BlockRows],
+    real: Mapping[str, RealThings],
     errors: Sequence[np.ndarray],
     around: Surroundings,
     chance: np.random.Generator,
-) -> tuple[list[Rows], list[Cause], Model, np.ndarray, list[dict[str, np.ndarray]]]:
+) -> tuple[list[BlockRows], list[PreparedEffect], Model, np.ndarray, list[dict[str, np.ndarray]]]:
     """Effects, and readings with which the targets are where they must be although these act.
 
     Effects depend on the readings, and these on the effects: both are found in turn, which is quick, as effects are small.
@@ -436,7 +441,7 @@ def _with_effects(
         readings = np.concatenate([each.readings for each in rows])
         nominal, _ = machine.faults((), replace(around, sights=Sights(targets)))
 
-        def places(model: Model = nominal, blocks: list[Rows] = rows) -> np.ndarray:
+        def places(model: Model = nominal, blocks: list[BlockRows] = rows) -> np.ndarray:
             found = []
             for each in blocks:
                 chains = each.chains(model)
@@ -465,7 +470,7 @@ def _with_effects(
     return rows, causes, model, theta, parts
 
 
-def _places_seen(model: Model, rows: Sequence[Rows]) -> dict[str, np.ndarray]:
+def _places_seen(model: Model, rows: Sequence[BlockRows]) -> dict[str, np.ndarray]:
     """Covariates of places of all rows, each along its own path."""
     gravity, tables = np.atleast_2d(model.around.gravity)[0], []
     for each in rows:
@@ -476,13 +481,13 @@ def _places_seen(model: Model, rows: Sequence[Rows]) -> dict[str, np.ndarray]:
 
 
 def _with_settled_readings(
-    rows: Rows,
+    rows: BlockRows,
     model: Model,
     true: np.ndarray,
     columns: Mapping[str, np.ndarray],
-    real: Mapping[str, Real],
+    real: Mapping[str, RealThings],
     errors: np.ndarray,
-) -> Rows:
+) -> BlockRows:
     """The rows with readings that bring their targets where they must be, apart from the errors."""
     miss = rows.miss(real, errors * (rows.stroke == 0.0)[:, None])
     if miss is None:
@@ -499,12 +504,14 @@ def _with_settled_readings(
 
 
 def _read(
-    rows: Rows, R: np.ndarray, p: np.ndarray, real: Mapping[str, Real], errors: np.ndarray
+    rows: BlockRows, R: np.ndarray, p: np.ndarray, real: Mapping[str, RealThings], errors: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Readings of the instrument, shape (n,) each, by the names of the columns."""
     kind = rows.kind
     if kind.tracked:
-        values = dict(zip(POSITION, (shown(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True))
+        values = dict(
+            zip(POSITION_COLUMNS, (tracker_positions(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True)
+        )
         if kind.oriented:
             turn = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
             values |= dict(zip(QUATERNION, turn.as_quat(canonical=True).T, strict=True))
@@ -527,8 +534,8 @@ def _table(
     number: int,
     block: MeasurementSettings,
     robot: Robot,
-    rows: Rows,
-    real: Mapping[str, Real],
+    rows: BlockRows,
+    real: Mapping[str, RealThings],
     values_read: Mapping[str, np.ndarray],
     columns: Mapping[str, np.ndarray],
 ) -> pd.DataFrame:

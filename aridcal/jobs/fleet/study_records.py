@@ -10,19 +10,19 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet
 
-from aridcal.jobs.fleet.in_process import Broken, Engine, EngineGone
+from aridcal.jobs.fleet.local_engine import Engine, EngineGone, WorkFailure
 from aridcal.jobs.fleet.run_record import DONE, FAILED, Row
 from aridcal.jobs.fleet.runs import SAVE_EVERY
-from aridcal.jobs.fleet.trials import Trial, tried
+from aridcal.jobs.fleet.trials import Trial, run_trial
 from aridcal.system.errors import OutputError
 from aridcal.system.progress import Progress
 from aridcal.system.writing.whole_files import atomic_file
 
-NAME = "study.parquet"
+STUDY_TABLE = "study.parquet"
 
 _CONSTANT = pa.struct([("name", pa.string()), ("value", pa.float64()), ("std", pa.float64()), ("unit", pa.string())])
 
-SCHEMA = pa.schema(
+STUDY_SCHEMA = pa.schema(
     [("key", pa.string()), ("rows", pa.int64()), ("size", pa.float64()), ("run", pa.int64()), ("seed", pa.int64())]
     + [("status", pa.string()), ("error", pa.string()), ("channel", pa.string())]
     + [(name, pa.float64()) for name in ("nominal", "geometric", "final", "true_rms_mm")]
@@ -48,17 +48,17 @@ class StudyResult:
     gone: str
 
 
-def known_runs(folder: Path, trials: Mapping[str, Trial]) -> dict[str, Row]:
+def earlier_runs(folder: Path, trials: Mapping[str, Trial]) -> dict[str, Row]:
     """Runs of a study that an earlier table has, by their keys.
 
     Raises:
         OutputError: what stands in the table's place is none.
     """
-    path = folder / NAME
+    path = folder / STUDY_TABLE
     if not path.exists():
         return {}
     try:
-        rows = pa.parquet.read_table(path).select(SCHEMA.names).cast(SCHEMA).to_pylist()
+        rows = pa.parquet.read_table(path).select(STUDY_SCHEMA.names).cast(STUDY_SCHEMA).to_pylist()
     except (OSError, ValueError, KeyError, pa.ArrowException) as problem:
         why = str(problem).splitlines()[0]
         raise OutputError(f"{path}: is no table of a study ({why}); move it away, or choose another folder") from None
@@ -68,8 +68,8 @@ def known_runs(folder: Path, trials: Mapping[str, Trial]) -> dict[str, Row]:
 def write_runs(rows: Mapping[str, Row], trials: Mapping[str, Trial], folder: Path) -> tuple[Row, ...]:
     """Write the table in one step; returns its rows, in the order of the trials."""
     ordered = tuple(rows[key] for key in trials if key in rows)
-    table = pa.Table.from_pylist([dict.fromkeys(SCHEMA.names) | row for row in ordered], SCHEMA)
-    with atomic_file(folder / NAME) as path:
+    table = pa.Table.from_pylist([dict.fromkeys(STUDY_SCHEMA.names) | row for row in ordered], STUDY_SCHEMA)
+    with atomic_file(folder / STUDY_TABLE) as path:
         pa.parquet.write_table(table, path, compression="snappy")
     return ordered
 
@@ -92,9 +92,9 @@ def studied(
     saved = time.monotonic()
     gone, done = "", 0
     try:
-        for name, answer in engine(tried, waiting):
+        for name, answer in engine(run_trial, waiting):
             trial = waiting[name]
-            if isinstance(answer, Broken):
+            if isinstance(answer, WorkFailure):
                 case = {"rows": trial.case.rows or None, "size": trial.case.size, "run": trial.run, "seed": trial.seed}
                 answer = {"key": trial.key, **case, "status": FAILED, "error": answer.why}
             rows[trial.key] = answer

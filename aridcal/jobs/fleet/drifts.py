@@ -37,7 +37,7 @@ class Drift:
         last: Value and standard deviation of the last run.
         days: Between the two measurements.
         times: The change, in standard deviations of the difference.
-        beyond: Whether the change is more than chance gives among so many constants.
+        significant: Whether the change is more than chance gives among so many constants.
     """
 
     robot: str
@@ -47,7 +47,7 @@ class Drift:
     last: tuple[float, float]
     days: float
     times: float
-    beyond: bool
+    significant: bool
 
 
 def drifting(rows: Sequence[Row]) -> tuple[list[Drift], int]:
@@ -77,7 +77,7 @@ def drifting(rows: Sequence[Row]) -> tuple[list[Drift], int]:
                 by_chance.append((chance, Drift(last["robot"], name, unit, (x1, s1), (x2, s2), days, times, False)))
     limit = FALSE_ALARMS / max(len(by_chance), 1)
     ordered = sorted(by_chance, key=lambda pair: (pair[0], -pair[1].times))
-    return [replace(drift, beyond=chance < limit) for chance, drift in ordered], len(pairs)
+    return [replace(drift, significant=chance < limit) for chance, drift in ordered], len(pairs)
 
 
 def chance_of(times: float, freedom: float) -> float:

@@ -11,7 +11,7 @@ SOUND_DRAWN = 1_000
 """Rows among them that were not flagged, at least: whatever is wrong with the flagged ones, these show the calibration."""
 
 
-def thinned(flagged: np.ndarray) -> tuple[np.ndarray, str]:
+def drawn_rows(flagged: np.ndarray) -> tuple[np.ndarray, str]:
     """Rows that are drawn: all; of too many every flagged one, for nobody looks for the others, and every k-th of the rest.
 
     Args:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.combinations import Known
+from aridcal.engine.trust.combinations import Identifiability
 from aridcal.engine.trust.cross_validation import Folds, Influence
 from aridcal.engine.trust.halves import Halves
 from aridcal.engine.trust.second_look import SecondLook
 
-MOST = 20
+MOST_INFLUENCES = 20
 """Drawn: Rows of which the influence is written."""
 
 
@@ -26,8 +26,8 @@ def document(look: SecondLook, train: Dataset) -> dict[str, Any]:
         parts["folds"] = _folds(look.folds, train)
     if look.influence is not None:
         parts["influence"] = _influence(look.influence, train)
-    if look.known is not None:
-        parts["known"] = _known(look.known)
+    if look.identifiability is not None:
+        parts["known"] = _known(look.identifiability)
     return parts
 
 
@@ -70,12 +70,12 @@ def _influence(influence: Influence, train: Dataset) -> dict[str, Any]:
             "leverage": float(influence.leverage[i]),
             "cook": float(influence.cook[i]),
         }
-        for i, k in enumerate(influence.rows[:MOST].tolist())
+        for i, k in enumerate(influence.rows[:MOST_INFLUENCES].tolist())
     ]
     return {"target_std_mm": 1e3 * influence.sigma, "deciding": len(influence.deciding), "rows": rows}
 
 
-def _known(known: Known) -> dict[str, Any]:
+def _known(known: Identifiability) -> dict[str, Any]:
     """Combinations of constants, and the minimal set of them."""
     return {
         "combinations": [

@@ -15,13 +15,13 @@ from aridcal.engine.corrections.regional_kind import is_of_labels
 from aridcal.engine.corrections.sights import is_sight
 from aridcal.engine.levels import STRONG
 from aridcal.engine.search.evidence import Score
-from aridcal.engine.search.linear_model import Active
-from aridcal.engine.search.ranking import in_place_of, is_small, rank
+from aridcal.engine.search.linear_model import ActiveEffect
+from aridcal.engine.search.ranking import is_small, rank, substitutes
 from aridcal.engine.search.screening import score_without
 from aridcal.engine.search.state import State, activate, noise_with, without_effect
 from aridcal.system.progress import SILENT, Progress
 
-RANKED = 12
+RANKED_CANDIDATES = 12
 """Work: Candidates among which those confounded with an effect are sought."""
 
 SIMILAR = 0.7
@@ -62,7 +62,7 @@ def twins(
 def _twins(
     state: State,
     library: Sequence[Effect],
-    named: Active,
+    named: ActiveEffect,
     rough: Mapping[Effect, Score],
     progress: Progress,
 ) -> tuple[tuple[Effect, Score], ...]:
@@ -76,7 +76,7 @@ def _twins(
         progress: Called with the number of candidates scored.
     """
     without = without_effect(state, named.effect)
-    rivals = in_place_of(state, library, named.effect)
+    rivals = substitutes(state, library, named.effect)
     also = [named.effect, *mirrored(state.model.table, named.effect)]
     ranked = rank(without, rivals, also=also, progress=progress, scores=rough)
     score = next((s for e, s in ranked if e == named.effect), None)
@@ -84,7 +84,7 @@ def _twins(
         return ()
     name = (named.effect.kind, named.effect.where, named.effect.with_, named.effect.by)
     twins: dict[tuple[object, ...], tuple[Effect, Score]] = {}
-    for rival, score_of_rival in ranked[:RANKED]:
+    for rival, score_of_rival in ranked[:RANKED_CANDIDATES]:
         other = (rival.kind, rival.where, rival.with_, rival.by)
         if score_of_rival.gain > score.gain - STRONG and other != name:
             twins.setdefault(other, (rival, score_of_rival))
@@ -135,7 +135,7 @@ def _kind_over(effect: Effect, name: str, form: str) -> str:
     return "unknown"
 
 
-def tied(
+def rivals_of_effects(
     state: State, constants: Sequence[Coefficient], twins: Sequence[Sequence[tuple[Effect, Score]]]
 ) -> tuple[RivalModel, ...]:
     r"""Weights of the rivals of each effect, and the model with each of them.
@@ -161,7 +161,7 @@ def tied(
 
 
 def _rivals(
-    state: State, constants: Sequence[Coefficient], named: Active, twins: Sequence[tuple[Effect, Score]]
+    state: State, constants: Sequence[Coefficient], named: ActiveEffect, twins: Sequence[tuple[Effect, Score]]
 ) -> Iterator[RivalModel]:
     """The rivals of one effect."""
     without, before = without_effect(state, named.effect), state.coefficients(constants)
@@ -174,7 +174,7 @@ def _rivals(
 
 
 def weights(twins: Sequence[tuple[Effect, Score]]) -> list[float]:
-    """Probabilities of an effect and its rivals, which sum to 1; see :func:`tied`."""
+    """Probabilities of an effect and its rivals, which sum to 1; see :func:`rivals_of_effects`."""
     gains = np.array([score.gain for _, score in twins])
     causes = [frozenset(effect.covariates) for effect, _ in twins]
     each = np.exp(gains - gains.max())

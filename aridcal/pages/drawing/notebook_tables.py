@@ -11,7 +11,7 @@ from aridcal.pages.drawing.html import tag
 HEADLINE = ("rms", "p95", "max")
 """Statistics of an error that a calibration shows of itself; of all quantities but the first only one."""
 
-DECIMALS = "{:.3f}".format
+ERROR_FORMAT = "{:.3f}".format
 """How errors are shown, to 1 µm and 1 µrad."""
 
 
@@ -32,10 +32,10 @@ class Verified:
     errors: pd.DataFrame
 
     def __repr__(self) -> str:
-        return f"{self._title}\n{headline(self.errors).to_string(float_format=DECIMALS)}"
+        return f"{self._title}\n{headline(self.errors).to_string(float_format=ERROR_FORMAT)}"
 
     def _repr_html_(self) -> str:
-        return f"{tag('p', self._title)}{headline(self.errors).to_html(float_format=DECIMALS, border=0)}"
+        return f"{tag('p', self._title)}{headline(self.errors).to_html(float_format=ERROR_FORMAT, border=0)}"
 
     @property
     def _title(self) -> str:

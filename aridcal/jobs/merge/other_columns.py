@@ -13,18 +13,18 @@ from aridcal.jobs.prepare.column_names import (
     angle_triples,
     joint_families,
     matrices,
-    named,
+    named_column,
     positions,
     quaternions,
     words,
 )
 from aridcal.jobs.prepare.condition_columns import COVARIATES
 from aridcal.jobs.prepare.orientation_columns import sensible
-from aridcal.system.errors import listed
+from aridcal.system.errors import name_list
 
 
 @dataclass(frozen=True)
-class Others:
+class OtherColumns:
     """Further columns of a log, in the order of its time.
 
     Attributes:
@@ -40,7 +40,7 @@ class Others:
     labels: Mapping[str, np.ndarray]
 
 
-def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: int) -> Others:
+def other_columns(table: Table, seconds: np.ndarray, used: Collection[str], joints: int) -> OtherColumns:
     """Columns of a table that are neither its clock, nor joints, nor any position or orientation.
 
     Args:
@@ -55,7 +55,7 @@ def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: 
     for matrix in matrices(table.names):
         in_families |= {name for way in (*matrix.rotation, *(matrix.position or ())) for name in way}
     clocks = next(spellings for quantity, _, spellings in COVARIATES if quantity == "time")
-    clock = named(names, *clocks)
+    clock = named_column(names, *clocks)
     free = [
         name for name in names if name not in in_families and name != clock and not set(words(name)) & SCATTER_WORDS
     ]
@@ -69,7 +69,7 @@ def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: 
                 numbers[name] = values[order]
         elif is_text.any():
             labels[name] = table.texts(name)[order]
-    return Others(table.title, seconds[order], numbers, labels)
+    return OtherColumns(table.title, seconds[order], numbers, labels)
 
 
 def _counts(values: np.ndarray) -> bool:
@@ -78,8 +78,8 @@ def _counts(values: np.ndarray) -> bool:
     return len(steps) > 1 and bool(np.all(steps == steps[0])) and steps[0] != 0
 
 
-def carried(
-    logs: Mapping[str, tuple[Others | None, np.ndarray, np.ndarray]], own_columns: Collection[str]
+def window_values(
+    logs: Mapping[str, tuple[OtherColumns | None, np.ndarray, np.ndarray]], own_columns: Collection[str]
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """One value of each further column for each of K windows: the mean of numbers, or the only label.
 
@@ -115,10 +115,10 @@ def carried(
             columns[title] = columns_of_log[name]
         carried_over = [f"{name} ({count} empty)" if count else name for name, count in holes.items()]
         if carried_over:
-            notes.append(f"{log.title}: carried over, the mean at each standstill: {listed(carried_over)}")
+            notes.append(f"{log.title}: carried over, the mean at each standstill: {name_list(carried_over)}")
         if empty:
             notes.append(
-                f"{log.title}: not carried over, nothing at any standstill or more than one label: {listed(empty)}"
+                f"{log.title}: not carried over, nothing at any standstill or more than one label: {name_list(empty)}"
             )
     return columns, tuple(notes)
 

@@ -11,20 +11,20 @@ import pandas as pd
 from aridcal.files.formats import robot_calibration
 from aridcal.files.formats.sniffing import as_keys, look
 from aridcal.files.tables import AnyTable, check_ending
-from aridcal.jobs.prepare.guesses import Asker, Guess, Proposal, nobody
+from aridcal.jobs.prepare.guesses import Chooser, Guess, Proposal, leave_open
 from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO
 from aridcal.jobs.prepare.units_and_angles import rounded
 from aridcal.system.errors import AridcalError, MeasurementError
 from aridcal.system.reading import workbooks
 from aridcal.system.reading.dialect import PLAIN, Dialect
-from aridcal.system.reading.regular_files import TABLE, read_file
+from aridcal.system.reading.regular_files import TABLE_LIMIT, read_file
 from aridcal.system.reading.user_names import check_path
 
 SAME_FIT_SHARE = 1e-9
 """Two ways that put the targets as near to the robot, to this share, are one: digits in groups or not, metres or mm."""
 
 
-def dialects_of(tables: Sequence[AnyTable], asker: Asker) -> tuple[list[Dialect], str]:
+def dialects_of(tables: Sequence[AnyTable], asker: Chooser) -> tuple[list[Dialect], str]:
     """Dialects in which all of some tables may be, the likeliest first, and the program that wrote them, if they say.
 
     Raises:
@@ -37,9 +37,9 @@ def dialects_of(tables: Sequence[AnyTable], asker: Asker) -> tuple[list[Dialect]
         if path is None or path.suffix.lower() == ".parquet":
             continue
         check_path(path, MeasurementError)
-        if path.suffix.lower() not in robot_calibration.ENDINGS:
+        if path.suffix.lower() not in robot_calibration.CALIBRATION_ENDINGS:
             check_ending(path)
-        answer = look(read_file(path, MeasurementError, TABLE), path, TABLE, asker.pick)
+        answer = look(read_file(path, MeasurementError, TABLE_LIMIT), path, TABLE_LIMIT, asker.pick)
         maker = maker or answer.maker
         if possible is None:
             possible, first = list(answer.dialects), path
@@ -66,7 +66,7 @@ def _with_marks(first: Sequence[Dialect], second: Sequence[Dialect]) -> list[Dia
 
 
 def best_dialect(
-    dialects: Sequence[Dialect], proposed: Callable[[Dialect, Asker], Proposal], asker: Asker
+    dialects: Sequence[Dialect], proposed: Callable[[Dialect, Chooser], Proposal], asker: Chooser
 ) -> tuple[Dialect, str]:
     """The dialect in which the targets move as the robot does, and why.
 
@@ -80,7 +80,7 @@ def best_dialect(
     """
     if len(dialects) == 1:
         return dialects[0], ""
-    alone = Asker(nobody, asker.settled)
+    alone = Chooser(leave_open, asker.settled)
     misfits: list[tuple[float, Dialect]] = []
     failure: AridcalError | None = None
     for dialect in dialects:
@@ -131,7 +131,7 @@ def say_table(dialect: Dialect, tables: Sequence[AnyTable], maker: str, why: str
     """Say how the tables are written, unless they are plain csv."""
     keys = as_keys(dialect)
     workbook = any(
-        not isinstance(one, pd.DataFrame) and Path(one).suffix.lower() in workbooks.ENDINGS for one in tables
+        not isinstance(one, pd.DataFrame) and Path(one).suffix.lower() in workbooks.WORKBOOK_ENDINGS for one in tables
     )
     if keys or maker or workbook:
         parts = [f"an export of {maker}"] if maker else []

@@ -17,9 +17,9 @@ from aridcal.system.errors import MeasurementError, nearest, shortened
 from aridcal.system.reading import workbooks
 from aridcal.system.reading.dates import NIGHTS, has_date, seconds, unrolled
 from aridcal.system.reading.dialect import BLANKS, Dates, Dialect
-from aridcal.system.reading.numerals import as_numbers, pattern, several
+from aridcal.system.reading.numerals import as_numbers, numbers_in_list, pattern
 from aridcal.system.reading.regular_files import Limit, not_utf8
-from aridcal.system.reading.table_files import LONGEST_LINE, MOST_COLUMNS, FileCells, below
+from aridcal.system.reading.table_files import LONGEST_LINE, MOST_COLUMNS, FileCells, read_below_header
 
 LINE_END = re.compile(r"\r\n|\r|\n")
 
@@ -29,11 +29,11 @@ MOST_NUMBERS = 0.5
 FILLED = re.compile(r"^.*\S.*$", re.MULTILINE)
 """A line that is not blank."""
 
-WORD = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
+BLANK_SEPARATED_CELL = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
 """A cell between blanks; one in quotes may hold some."""
 
 
-def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect, partial: bool = False) -> FileCells:
+def read_in_dialect(content: bytes, path: Path, limit: Limit, dialect: Dialect, partial: bool = False) -> FileCells:
     """Read a table of text, or a sheet of a workbook, in a dialect.
 
     Args:
@@ -50,7 +50,7 @@ def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect, par
         MeasurementError: it is written otherwise, is too large, or has no rows.
     """
     separator = dialect.separator
-    if path.suffix.lower() in workbooks.ENDINGS:
+    if path.suffix.lower() in workbooks.WORKBOOK_ENDINGS:
         content, separator = workbooks.as_csv(content, path, limit, dialect.sheet, dialect.decimal), ","
         text = content.decode()
     else:
@@ -72,7 +72,7 @@ def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect, par
     parted = "\t" if separator == BLANKS else separator
     names = _as_wide(names, split_line(first[0] if first else "", parted))
     above = max(begins - 1, 1)  # the reader begins below one line
-    table = below(b"\n" * above + body.encode(), names, path, limit, parted)
+    table = read_below_header(b"\n" * above + body.encode(), names, path, limit, parted)
     shift = above - begins + 1
     broken = tuple(replace(row, line=row.line - shift) for row in table.broken)
     table = replace(table, line=table.line - shift, broken=broken)
@@ -117,7 +117,7 @@ def split_line(line: str, separator: str) -> list[str]:
     if not line.strip():
         return []
     if separator == BLANKS:
-        cells = [cell.strip('"') for cell in WORD.findall(line)]
+        cells = [cell.strip('"') for cell in BLANK_SEPARATED_CELL.findall(line)]
     else:
         try:
             cells = next(csv.reader([line.replace("\0", " ")], delimiter=separator), [])
@@ -141,15 +141,15 @@ def header_names(lines: Sequence[str], dialect: Dialect, separator: str, path: P
         raise MeasurementError(
             f"{path}: has no header in line {max(dialect.header)}; set `table.header`, which counts lines from 1"
         )
-    rows = [split_line(uncommented(lines[k - 1], dialect.comment), separator) for k in sorted(dialect.header)]
+    rows = [split_line(strip_comment(lines[k - 1], dialect.comment), separator) for k in sorted(dialect.header)]
     if not any(cell for row in rows for cell in row):
         raise MeasurementError(
             f"{path}: line {max(dialect.header)} is empty; it should name the columns, or set `table.header`"
         )
-    return joined(rows)
+    return joined_header(rows)
 
 
-def joined(rows: Sequence[Sequence[str]]) -> list[str]:
+def joined_header(rows: Sequence[Sequence[str]]) -> list[str]:
     """Several lines of a header as one name a column, each of them another."""
     width = max((len(row) for row in rows), default=0)
     columns: list[list[str]] = [[] for _ in range(width)]
@@ -173,7 +173,7 @@ def joined(rows: Sequence[Sequence[str]]) -> list[str]:
     return names
 
 
-UNIT = re.compile(
+UNIT_CELL = re.compile(
     r"[\[(]?\s*(?:rad|radians?|deg|degrees?|°|m|cm|mm|um|µm|in|inch|ft|s|sec|seconds?|ms|us|ns|°c|c|kg|n|nm|hz|-|1|%|v|a)\s*[\])]?",
     re.IGNORECASE,
 )
@@ -183,10 +183,12 @@ UNIT = re.compile(
 def is_units(row: Sequence[str]) -> bool:
     """True of a line of units."""
     filled = [cell for cell in row if cell]
-    return bool(filled) and all(UNIT.fullmatch(cell) for cell in filled) and not all(c in ("-", "1") for c in filled)
+    return (
+        bool(filled) and all(UNIT_CELL.fullmatch(cell) for cell in filled) and not all(c in ("-", "1") for c in filled)
+    )
 
 
-def uncommented(line: str, comment: Collection[str]) -> str:
+def strip_comment(line: str, comment: Collection[str]) -> str:
     """A line without the mark of a comment at its beginning."""
     bare = line.lstrip()
     for mark in sorted(comment, key=len, reverse=True):
@@ -201,7 +203,7 @@ def _rows(text: str, comment: Collection[str], separator: str) -> str:
         marks = "|".join(re.escape(mark) for mark in comment)
         text = re.sub(rf"^[^\S\n]*(?:{marks})[^\n]*", "", text, flags=re.MULTILINE)
     if separator == BLANKS:
-        return "\n".join("\t".join(WORD.findall(line)) for line in text.split("\n"))
+        return "\n".join("\t".join(BLANK_SEPARATED_CELL.findall(line)) for line in text.split("\n"))
     return text
 
 
@@ -261,7 +263,7 @@ def _converted(table: FileCells, dialect: Dialect, path: Path) -> pa.Table:
 
 def _taken_apart(column: pa.ChunkedArray, count: int, dialect: Dialect) -> list[pa.ChunkedArray]:
     """Columns of the numbers in cells of lists; empty where a cell has another count of them."""
-    lists = [several(cell or "", dialect) for cell in column.to_pylist()]
+    lists = [numbers_in_list(cell or "", dialect) for cell in column.to_pylist()]
     nothing = [None] * count
     rows = [row if len(row) == count else nothing for row in lists]
     return [pa.chunked_array([pa.array([row[k] for row in rows], pa.string())]) for k in range(count)]

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.robot.chain import Robot
 from aridcal.files.measurement_settings import ANGLES, LENGTHS, MeasurementSettings
 from aridcal.files.orientations import QUATERNION, normalised, orientation_columns, turned
-from aridcal.files.quantities import POSITION
+from aridcal.files.quantities import POSITION_COLUMNS
 from aridcal.files.tables import read_tables
 from aridcal.jobs.merge.log import Log
 from aridcal.jobs.merge.pairs import resolution
-from aridcal.jobs.prepare.guesses import Asker
-from aridcal.jobs.prepare.propose import STRANGE_SHARE, propose
+from aridcal.jobs.prepare.campaign_proposal import STRANGE_SHARE, propose
+from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.system.errors import AridcalError, MeasurementError
 
 QUATERNION_NORMS = (0.9, 1.1)
@@ -44,7 +44,7 @@ class TrackerRows:
     words: tuple[str, ...]
 
 
-def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: Asker) -> TrackerRows:
+def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: Chooser) -> TrackerRows:
     """Find units and orientation.
 
     Args:
@@ -66,7 +66,7 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
     except MeasurementError as problem:
         raise MeasurementError(str(problem).replace("DataFrame", tracker.title)) from None
     proposed = {guess.key: guess.value for guess in proposal.guesses}
-    kind = KINDS.get(proposed.get("measurements.kind", ""))
+    kind = MEASUREMENT_KINDS.get(proposed.get("measurements.kind", ""))
     if kind is None or not kind.tracked:
         raise MeasurementError(
             f"{tracker.title}: holds no positions of a target; merge joins joints and positions or poses"
@@ -85,7 +85,9 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
             "motion"
         )
     renamed = {
-        name: proposed[key] for name in (*POSITION, *QUATERNION) if proposed.get(key := f"measurements.columns.{name}")
+        name: proposed[key]
+        for name in (*POSITION_COLUMNS, *QUATERNION)
+        if proposed.get(key := f"measurements.columns.{name}")
     }
     settings = MeasurementSettings.model_validate(
         {
@@ -99,7 +101,7 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
         settings.units.columns.get(name, settings.units.length if kind == "prismatic" else settings.units.angle)
         for name, kind in zip(robot.readings, robot.kinds, strict=True)
     )
-    place = tuple(renamed.get(name, name) for name in POSITION)
+    place = tuple(renamed.get(name, name) for name in POSITION_COLUMNS)
     orientation = orientation_columns(settings)
     required = place if settings.traits.place_alone else (*place, *orientation)
     log = tracker.keep(np.isfinite(tracker.of(required)).all(axis=1), "without an orientation: left out")

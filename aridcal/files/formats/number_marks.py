@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterable
 
 from aridcal.system.errors import MeasurementError
-from aridcal.system.reading.numerals import SAME
+from aridcal.system.reading.numerals import LOOKALIKE_CHARACTERS
 
 _GROUPS = {".": ",' ", ",": ".' "}
-NUMBER = re.compile(
+NUMBER_IN_ANY_DIALECT = re.compile(
     "[-+]?(?:"
     + "|".join(
         rf"\d{{1,3}}(?:{re.escape(group)}\d{{3}})+(?:{re.escape(point)}\d*)?"
@@ -27,14 +27,14 @@ GROUPED = {mark: re.compile(rf"[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for
 def plain(cell: str) -> str:
     """A cell with the usual characters for minus, blanks and apostrophes."""
     if not cell.isascii():
-        for odd, meant in SAME.items():
+        for odd, meant in LOOKALIKE_CHARACTERS.items():
             cell = cell.replace(odd, meant)
     return cell.strip()
 
 
 def is_number(cell: str) -> bool:
     """True of what is a number in some dialect."""
-    return NUMBER.fullmatch(plain(cell)) is not None
+    return NUMBER_IN_ANY_DIALECT.fullmatch(plain(cell)) is not None
 
 
 def marks(cells: Iterable[str], title: str) -> list[tuple[str, str]]:

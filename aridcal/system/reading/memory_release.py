@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def held() -> Iterator[None]:
+def frozen_garbage() -> Iterator[None]:
     """Keep the garbage collector from looking through what exists already: through all modules that takes a while."""
     gc.freeze()
     try:

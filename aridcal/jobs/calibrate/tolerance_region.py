@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.inverse.reachable import brought
+from aridcal.engine.inverse.reachable import readings_for_poses
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.certainty import Wanted
-from aridcal.engine.trust.workspace import SAMPLES, spread_out
+from aridcal.engine.trust.certainty import Requirement
+from aridcal.engine.trust.workspace import WORKSPACE_SAMPLES, spread_out
 from aridcal.files.campaign import Campaign
 from aridcal.files.counting import counting
 from aridcal.files.orientations import column_of
-from aridcal.files.quantities import POSITION
+from aridcal.files.quantities import POSITION_COLUMNS
 from aridcal.files.query import load_query
 from aridcal.files.tables import read_tables
 from aridcal.system.errors import CampaignError, MeasurementError, nearest
@@ -40,7 +40,7 @@ def region_of_table(campaign: Campaign, robot: Robot, path: Path, reach: Reach) 
     """
     settings, limit = campaign.measurements, campaign.limits.table
     joints = [settings.columns.get(name, name) for name in robot.readings]
-    places = [column_of(name, settings, robot.readings) for name in POSITION]
+    places = [column_of(name, settings, robot.readings) for name in POSITION_COLUMNS]
     dialect = settings.table.dialect
     names = set(read_tables([path], (), limit, dialect, joints).names)
     if not set(joints) <= names:
@@ -95,19 +95,21 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
             return p - places[rows]
 
         advice = f"take places out of {path} that it cannot reach"
-        return brought(robot, pose, miss, len(places), np.random.default_rng(0), str(campaign.path), advice)
+        return readings_for_poses(robot, pose, miss, len(places), np.random.default_rng(0), str(campaign.path), advice)
 
     readings = region_of_table(campaign, robot, path, reach)
-    if len(readings) <= SAMPLES:
+    if len(readings) <= WORKSPACE_SAMPLES:
         return readings
-    return readings[np.linspace(0, len(readings) - 1, SAMPLES).round().astype(int)]
+    return readings[np.linspace(0, len(readings) - 1, WORKSPACE_SAMPLES).round().astype(int)]
 
 
-def wanted(campaign: Campaign) -> Wanted:
+def requirement(campaign: Campaign) -> Requirement:
     """The point, tolerance and title of the region that a campaign names."""
     settings, tolerance = campaign.region, campaign.tolerance
     title = "the joint ranges named" if settings.file is None else f"the places of {settings.file.name}"
-    return Wanted(settings.tool, (None, None) if tolerance is None else (tolerance.position, tolerance.rotation), title)
+    return Requirement(
+        settings.tool, (None, None) if tolerance is None else (tolerance.position, tolerance.rotation), title
+    )
 
 
 def corners(campaign: Campaign, robot: Robot, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import numpy as np
 from aridcal.engine.robot.chain import Robot, chain, with_limbs
 from aridcal.engine.robot.tree import read_tree
 from aridcal.files.measurement_settings import TARGET
-from aridcal.files.orientations import POSITION, QUATERNION_SLACK
+from aridcal.files.orientations import POSITION_COLUMNS, QUATERNION_SLACK
 from aridcal.files.tables import Table
 from aridcal.jobs.prepare.column_names import (
     MEASURED_WORDS,
@@ -25,18 +25,18 @@ from aridcal.jobs.prepare.column_names import (
     unit,
 )
 from aridcal.jobs.prepare.condition_columns import say_covariates, say_repeats
-from aridcal.jobs.prepare.guesses import Asker, Proposal, ask
+from aridcal.jobs.prepare.guesses import Chooser, Proposal, ask
 from aridcal.jobs.prepare.limb_columns import limbs_of
 from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO, MOST_ANSWERS, say_orientation, sensible
-from aridcal.jobs.prepare.other_kinds import other_kind, say_other_kind
+from aridcal.jobs.prepare.other_kinds import kind_of_table, say_other_kind
 from aridcal.jobs.prepare.other_readings import SAMPLE_ROWS
-from aridcal.jobs.prepare.units_and_angles import Reading, Sample, one_slip_away, readings, rounded
-from aridcal.system.errors import MeasurementError, RobotError, listed, shortened
+from aridcal.jobs.prepare.units_and_angles import Sample, TableReading, fit_with_one_slip, readings, rounded
+from aridcal.system.errors import MeasurementError, RobotError, name_list, shortened
 
 # Share of rows in which a quaternion's norm is 1.
 LEAST_UNIT_NORM_SHARE = 0.8
 # Rows without which nothing can be judged: the frames alone take twelve numbers.
-FEWEST_ROWS = 4
+FEWEST_TABLE_ROWS = 4
 # No nominal robot misses the targets by so much of their spread.
 STRANGE_SHARE = 0.05
 # The base's z is the instrument's if they are as close as that, [deg]: floors and tripods are less exact than
@@ -62,7 +62,7 @@ QUESTIONS = ("table.sheet", "table.dates", "table.decimal", "joints", "columns",
 """Keys of what may be asked; answers may be given beforehand."""
 
 
-def propose(urdf: bytes, path: Path, table: Table, asker: Asker, clock: str | None = None) -> Proposal:
+def propose(urdf: bytes, path: Path, table: Table, asker: Chooser, clock: str | None = None) -> Proposal:
     """Propose what a campaign should say.
 
     Args:
@@ -93,7 +93,7 @@ def propose(urdf: bytes, path: Path, table: Table, asker: Asker, clock: str | No
     if limbs is not None and limbs.on:
         proposal.robot = with_limbs(robot, list(limbs.on.values()))
     spare = limbs.spare if limbs is not None else ()
-    if (other := other_kind(table, used)) is not None:
+    if (other := kind_of_table(table, used)) is not None:
         kind, columns_of_kind = other
         turning = np.array([joint != "prismatic" for joint in robot.kinds])
         used |= {
@@ -115,7 +115,7 @@ def propose(urdf: bytes, path: Path, table: Table, asker: Asker, clock: str | No
 
 
 def _one_chain(
-    chains: dict[tuple[str, ...], list[Robot]], table: Table, asker: Asker
+    chains: dict[tuple[str, ...], list[Robot]], table: Table, asker: Chooser
 ) -> tuple[Proposal, dict[str, str]]:
     """The proposal's beginning for one chain whose joints have columns, and the column of each joint."""
     joints, columns, how = _joints(chains, table, asker)
@@ -152,7 +152,7 @@ def _chains(urdf: bytes, path: Path) -> dict[tuple[str, ...], list[Robot]]:
 
 
 def _joints(
-    chains: Iterable[tuple[str, ...]], table: Table, asker: Asker
+    chains: Iterable[tuple[str, ...]], table: Table, asker: Chooser
 ) -> tuple[tuple[str, ...], dict[str, str], str]:
     """The longest chain whose joints all have columns.
 
@@ -178,7 +178,7 @@ def _joints(
     if not complete:
         lacking = [joint for joint in max(matches, key=len) if joint not in names]
         raise MeasurementError(
-            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {listed(names)}. Name "
+            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {name_list(names)}. Name "
             "the joints' columns as in the URDF, or number them q1, q2, … along the chain. Where the controller logged them in a "
             f"file of its own, `aridcal merge joints.csv {table.title} --urdf … --tip …` makes one table of both"
         )
@@ -209,7 +209,7 @@ def _is_quaternion(table: Table, family: Family) -> bool:
     return len(family.columns) == 4 and bool(np.mean(np.abs(norm - 1) < QUATERNION_SLACK) > LEAST_UNIT_NORM_SHARE)
 
 
-def _tip(robots: Sequence[Robot], asker: Asker) -> tuple[Robot, bool]:
+def _tip(robots: Sequence[Robot], asker: Chooser) -> tuple[Robot, bool]:
     """The chain that is meant of some that end rigidly after the same joint, and whether that is sure."""
 
     def rank(robot: Robot) -> tuple[int, bool]:
@@ -225,7 +225,7 @@ def _tip(robots: Sequence[Robot], asker: Asker) -> tuple[Robot, bool]:
 
 
 def _position(
-    table: Table, robot: Robot, used: set[str], joints: Sequence[str], asker: Asker, proposal: Proposal
+    table: Table, robot: Robot, used: set[str], joints: Sequence[str], asker: Chooser, proposal: Proposal
 ) -> Family:
     """The columns of the measured position.
 
@@ -269,7 +269,7 @@ def _position(
     why = "the measured position" + (f", not {' or '.join(others)}{reason}" if others else "")
     if position.computed:
         why = COMPUTED_ALONE
-    columns = dict(zip(POSITION, position.columns, strict=True))
+    columns = dict(zip(POSITION_COLUMNS, position.columns, strict=True))
     proposal.say_columns(columns, why, sure=not (position.commanded or position.computed))
     return position
 
@@ -337,11 +337,11 @@ def _sample(
         words, counts = np.unique(table.texts(TARGET), return_counts=True)
         finite &= table.texts(TARGET) == (words[np.argmax(counts)] if label is None else label)
     whole = np.flatnonzero(finite)
-    if len(whole) < FEWEST_ROWS:
+    if len(whole) < FEWEST_TABLE_ROWS:
         counts = np.isfinite(np.hstack([q, position])).sum(axis=0)
         emptiest = [*joints, *place.columns][int(np.argmin(counts))]
         raise MeasurementError(
-            f"{table.title}: {len(whole)} rows have all joints and positions; {FEWEST_ROWS} are the least. The column "
+            f"{table.title}: {len(whole)} rows have all joints and positions; {FEWEST_TABLE_ROWS} are the least. The column "
             f"{emptiest!r} has numbers in {counts.min()} of {len(table)} rows: mend it, or measure more"
         )
     chosen = np.random.default_rng(0).permutation(whole)[:SAMPLE_ROWS]
@@ -353,8 +353,8 @@ def _sample(
 
 
 def _units(
-    sample: Sample, robot: Robot, joints: Sequence[str], place: Sequence[str], asker: Asker, proposal: Proposal
-) -> Reading:
+    sample: Sample, robot: Robot, joints: Sequence[str], place: Sequence[str], asker: Chooser, proposal: Proposal
+) -> TableReading:
     """Keep the units, and the frames per station, that the nominal robot agrees with.
 
     Args:
@@ -381,7 +381,7 @@ def _units(
     near = [r for r in ways if r.per == best.per][:MOST_ANSWERS]
     counting, slip = best, ""
     if best.share > STRANGE_SHARE:  # a joint that counts otherwise makes other units look right
-        other = one_slip_away(sample, robot, near)
+        other = fit_with_one_slip(sample, robot, near)
         if other.share <= STRANGE_SHARE:
             units = (other.angle, other.length, other.travel)
             best, counting = next(r for r in near if (r.angle, r.length, r.travel) == units), other
@@ -419,20 +419,20 @@ def _units_in_header(sample: Sample, joints: Sequence[str], place: Sequence[str]
     return {(kind, word) for kind, word in zip(kinds, words, strict=True) if word}
 
 
-def _units_of(sample: Sample, reading: Reading) -> list[tuple[str, str]]:
+def _units_of(sample: Sample, reading: TableReading) -> list[tuple[str, str]]:
     """Units of a way to read joints and positions, in the same pairs."""
     travel = [] if sample.turning.all() else [("travel", reading.travel)]
     return [("angle", reading.angle), ("length", reading.length), *travel]
 
 
-def _units_in_words(reading: Reading) -> str:
+def _units_in_words(reading: TableReading) -> str:
     """Units of a way to read joints and positions."""
     length, travel = ("inches" if u == "in" else u for u in (reading.length, reading.travel))
     rails = "" if travel == length else f", rails in {travel}"
     return f"{reading.angle} and {length}{rails}"
 
 
-def _why_units(best: Reading, near: Sequence[Reading], columns: Sequence[str]) -> str:
+def _why_units(best: TableReading, near: Sequence[TableReading], columns: Sequence[str]) -> str:
     """Reasons for some units: the header, how near the nominal robot comes, and how near with the next best."""
     header_units = {unit(column) for column in columns} - {None}
     agrees = header_units and header_units <= {best.angle, best.length}
@@ -448,7 +448,7 @@ def _why_units(best: Reading, near: Sequence[Reading], columns: Sequence[str]) -
     return why
 
 
-def _gravity(reading: Reading, proposal: Proposal) -> None:
+def _gravity(reading: TableReading, proposal: Proposal) -> None:
     """Say whether the robot stands upright, as far as the instrument does."""
     cosine = np.clip(reading.world[0][2, 2], -1, 1)
     tilt = float(np.degrees(np.arccos(cosine)))

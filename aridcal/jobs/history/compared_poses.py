@@ -20,15 +20,15 @@ from scipy.stats import qmc
 from aridcal.engine.corrections.effect import ROW_ORDER
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.maintain.hypotheses import widened
-from aridcal.system.errors import AridcalError, listed
+from aridcal.system.errors import AridcalError, name_list
 
-CONFIGURATIONS = 256
+DRAWN_CONFIGURATIONS = 256
 """Drawn over the joints' common ranges, a power of two for Sobol's sequence: four times the numbers of the largest models."""
 
 ALIGNMENT_STEPS = 8
 """Small steps that take off the motions of base and target; four are usual."""
 
-LAST_STEP = 1e-13
+ROUNDING_STEP = 1e-13
 """[m] and [rad]: a step below this is rounding."""
 
 OVER_TIME = ("time", ROW_ORDER)
@@ -60,7 +60,7 @@ class BothPoses:
     notices: tuple[str, ...]
 
 
-def seen_by_both(a: SavedModel, b: SavedModel, moved: Mapping[str, float]) -> BothPoses:
+def common_poses(a: SavedModel, b: SavedModel, moved: Mapping[str, float]) -> BothPoses:
     """The poses of two calibrations of one arm.
 
     Args:
@@ -101,7 +101,8 @@ def _targets(a: SavedModel, b: SavedModel) -> tuple[str, ...]:
     first, other = ([label for label, _ in saved.final.model.tip_target if label is not None] for saved in (a, b))
     if first and other and not set(first) & set(other):
         raise AridcalError(
-            f"the calibrations have no target in common: one has {listed(first)}, the other {listed(other)}. Call what is on one "
+            f"the calibrations have no target in common: one has {name_list(first)}, the other {name_list(other)}. Call what "
+            f"is on one "
             "link alike in both"
         )
     return tuple(label for label in first if label in other)
@@ -118,8 +119,8 @@ def _check_same_arm(a: SavedModel, b: SavedModel) -> None:
     first, second = a.final.model.robot, b.final.model.robot
     if first.readings != second.readings or tuple(first.kinds) != tuple(second.kinds):
         raise AridcalError(
-            f"the calibrations are not of the same arm: one has the joints {listed(first.readings)}, the other "
-            f"{listed(second.readings)}. Name two calibrations of one robot"
+            f"the calibrations are not of the same arm: one has the joints {name_list(first.readings)}, the other "
+            f"{name_list(second.readings)}. Name two calibrations of one robot"
         )
 
 
@@ -128,7 +129,7 @@ def _draw_configurations(a: SavedModel, b: SavedModel, notices: list[str]) -> tu
     robot = a.final.model.robot
     covariates = sorted({*a.expected.model.needs, *b.expected.model.needs} - set(OVER_TIME))
     columns = [*robot.readings, *covariates]
-    unit = qmc.Sobol(len(columns), seed=0).random(CONFIGURATIONS)
+    unit = qmc.Sobol(len(columns), seed=0).random(DRAWN_CONFIGURATIONS)
     samples = {}
     for share, name in zip(unit.T, columns, strict=True):
         ends = [saved.seen[name] for saved in (a, b) if name in saved.seen]
@@ -180,7 +181,7 @@ def _in_one_place(
             max(float(Rotation.from_matrix(step.rotation).magnitude()) for step in steps),
         )
         fitted = any(c.where == where and c.basis.constant for model, _ in models for c in model.coefficients)
-        if fitted or max(apart) > LAST_STEP:
+        if fitted or max(apart) > ROUNDING_STEP:
             anew[where] = apart
             changes[where] = tuple((label, of_targets.get(label, frames_a[0][1])) for label, _ in frames_b)
     second_moved = replace(second, **changes)
@@ -253,6 +254,6 @@ def _difference_of_poses(
         step = np.linalg.lstsq(flat, -d.ravel(), rcond=None)[0]
         base += step[:6] if "world_base" in anew else 0.0
         tool += step[-tool.size :].reshape(-1, 6) if "tip_target" in anew else 0.0
-        if np.abs(step).max() < LAST_STEP:
+        if np.abs(step).max() < ROUNDING_STEP:
             break
     return np.asarray(d)

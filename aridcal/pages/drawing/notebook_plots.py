@@ -24,19 +24,19 @@ if TYPE_CHECKING:
 WIDTH, HEIGHT = 4.2, 2.6
 """Of one panel, [in]."""
 
-ABREAST = 3
+PANELS_PER_ROW = 3
 """Panels side by side: a notebook is some 12 inches wide."""
 
 MAP = "cividis"
 """Colours that rise evenly in lightness, and that colour-blind readers see as all others do."""
 
-LOOKS: dict[str, dict[str, Any]] = {
+MODEL_STYLES: dict[str, dict[str, Any]] = {
     "before": {"color": BEFORE, "marker": "o", "mfc": "none"},
     "after": {"color": AFTER, "marker": "."},
 }
 """Told apart by their signs as well as by their colours, Okabe and Ito's."""
 
-QUANTITIES = (TARGET_POSITION, TARGET_ROTATION, LENGTH, PIXEL, INCLINATION)
+PLOTTED_CHANNELS = (TARGET_POSITION, TARGET_ROTATION, LENGTH, PIXEL, INCLINATION)
 
 
 class Picture(Figure):
@@ -116,7 +116,7 @@ class Plots:
                 rms = np.sqrt(np.mean(own**2)) if len(own) else np.nan
                 label = f"{when}: RMS {rms:.3g} {quantity.unit}"
                 dash = "--" if when == "before" else "-"
-                panel.step(own, share, where="post", color=LOOKS[when]["color"], linestyle=dash, label=label)
+                panel.step(own, share, where="post", color=MODEL_STYLES[when]["color"], linestyle=dash, label=label)
             _scaled(panel, quantity.sizes.values(), "x")
             panel.set(xlabel=f"{quantity.name} [{quantity.unit}]", ylabel=f"{rows} below [%]", ylim=(0, 102))
             panel.legend(fontsize="small")
@@ -223,7 +223,7 @@ def plots_of_table(table: pd.DataFrame) -> Plots:
                 for stage in stages
             ),
         )
-        for channel in QUANTITIES
+        for channel in PLOTTED_CHANNELS
         for block in _blocks(channel, {name.removeprefix("final_") for name in stages["final"]})
     ]
     if not quantities:
@@ -246,14 +246,14 @@ def _blocks(channel: Channel, names: set[str]) -> Iterator[str]:
 
 def _grid(count: int, height: float = HEIGHT) -> tuple[Figure, Iterator[Axes]]:
     """A figure with so many panels, and these."""
-    columns = min(max(count, 1), ABREAST)
+    columns = min(max(count, 1), PANELS_PER_ROW)
     rows = -(-max(count, 1) // columns)
     figure = Picture(figsize=(WIDTH * columns, height * rows), layout="constrained")
     return figure, iter([figure.add_subplot(rows, columns, k + 1) for k in range(count)])
 
 
 def _dots(panel: Axes, x: np.ndarray, y: np.ndarray, when: str) -> None:
-    panel.plot(x, y, linestyle="none", markersize=3, label=when, rasterized=len(x) > 1000, **LOOKS[when])
+    panel.plot(x, y, linestyle="none", markersize=3, label=when, rasterized=len(x) > 1000, **MODEL_STYLES[when])
 
 
 def _scaled(panel: Axes, values: Iterable[np.ndarray], axis: str) -> None:

@@ -19,15 +19,15 @@ from aridcal.system.errors import RobotError, nearest, shortened
 LOOK_SECONDS = 60
 """To look into the cache: git is asked which version lies there, and answers in less than one."""
 
-LONGEST_NAME = 100
+LONGEST_ROBOT_NAME = 100
 """Characters of a robot's name: those that there are have 40 at the most."""
 
-ENDING = "_description"
+NAME_ENDING = "_description"
 """What the names of robot_descriptions end in; it may be left out."""
 
 
 @dataclass(frozen=True)
-class Named:
+class RobotDescription:
     """Where a robot's description is, and what it takes to read it.
 
     Attributes:
@@ -43,25 +43,25 @@ class Named:
     cached: bool = False
 
 
-def described(urdf: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> Named:
+def robot_description(urdf: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> RobotDescription:
     """What a user named as the robot: a file, or a robot by its name; what the user says of either comes first.
 
     Raises:
         RobotError: it is no file, and no name of a robot in the cache.
     """
     if not is_name(urdf):
-        return Named(urdf, packages, arguments)
+        return RobotDescription(urdf, packages, arguments)
     robot = named_robot(str(urdf))
-    return Named(robot.path, {**robot.packages, **packages}, {**robot.arguments, **arguments}, True)
+    return RobotDescription(robot.path, {**robot.packages, **packages}, {**robot.arguments, **arguments}, True)
 
 
 def is_name(path: Path) -> bool:
     """Tell whether what a user gave for a URDF may be the name of a robot: one word without an ending, and no file."""
-    one_word = path.name == str(path) and not path.suffix and len(path.name) <= LONGEST_NAME
+    one_word = path.name == str(path) and not path.suffix and len(path.name) <= LONGEST_ROBOT_NAME
     return one_word and not path.exists()
 
 
-def named_robot(name: str) -> Named:
+def named_robot(name: str) -> RobotDescription:
     """Find a robot's description in the cache of robot_descriptions.
 
     Raises:
@@ -101,7 +101,7 @@ def named_robot(name: str) -> Named:
             f"`robot_descriptions pull {full}` does that; then run this again"
         )
     packages = {package: Path(place) for package, place in answer["packages"].items()}
-    return Named(Path(answer["path"]), packages, answer["arguments"], True)
+    return RobotDescription(Path(answer["path"]), packages, answer["arguments"], True)
 
 
 def _look(name: str) -> dict[str, Any]:
@@ -109,9 +109,9 @@ def _look(name: str) -> dict[str, Any]:
     from robot_descriptions._descriptions import DESCRIPTIONS
     from robot_descriptions._repositories import REPOSITORIES
 
-    full = next((each for each in (name, name + ENDING) if each in DESCRIPTIONS), None)
+    full = next((each for each in (name, name + NAME_ENDING) if each in DESCRIPTIONS), None)
     if full is None:
-        return {"known": [each.removesuffix(ENDING) for each, about in DESCRIPTIONS.items() if about.has_urdf]}
+        return {"known": [each.removesuffix(NAME_ENDING) for each, about in DESCRIPTIONS.items() if about.has_urdf]}
     about = DESCRIPTIONS[full]
     if not about.has_urdf:
         return {"name": full, "why": "as " + " and ".join(sorted(each.name for each in about.formats)) + " only"}

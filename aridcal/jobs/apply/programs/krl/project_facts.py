@@ -13,16 +13,16 @@ from aridcal.jobs.apply.programs.krl.names import File, Names
 from aridcal.jobs.apply.programs.krl.syntax import (
     Aggregate,
     Assignment,
-    Carried,
+    Computation,
+    ControllerCall,
     Expression,
     Function,
     Product,
-    Unclear,
+    UnclearStatement,
     Variable,
-    Worked,
     variables,
 )
-from aridcal.jobs.apply.programs.krl.tokens import NAME, Misread, Token, tokens
+from aridcal.jobs.apply.programs.krl.tokens import NAME, MalformedStatement, Token, tokens
 from aridcal.jobs.apply.programs.walk import Call, Node, Step
 
 _LINES = re.compile(r"[^\n]+")
@@ -64,7 +64,7 @@ class Thread:
 
 
 @dataclass
-class Said:
+class ProjectFacts:
     """All that a project's files say.
 
     Attributes:
@@ -111,8 +111,8 @@ class Notes:
         said: Of the project, which all is added to.
     """
 
-    def __init__(self, file: File, names: Names, said: Said) -> None:
-        self._file, self._names, self._said = file, names, said
+    def __init__(self, file: File, names: Names, facts: ProjectFacts) -> None:
+        self._file, self._names, self._said = file, names, facts
         self._low, self._text = file.code.plain, file.code.text
         self._routine = ""
 
@@ -138,7 +138,7 @@ class Notes:
     def _line_name(self, place: int) -> str:
         return f"{self._file.code.name} line {self._file.code.line(place)}"
 
-    def _unclear(self, start: int, end: int) -> Unclear:
+    def _unclear(self, start: int, end: int) -> UnclearStatement:
         """A statement that is not understood may do anything with what it names."""
         for match in NAME.finditer(self._low, start, end):
             variable = self._variable(match.group(), match.start())
@@ -146,7 +146,7 @@ class Notes:
             self._said.reads.append(mention)
             self._said.wrote(mention)
         first = NAME.search(self._low, start, end)
-        return Unclear(
+        return UnclearStatement(
             f"{self._line_name(start)} is not understood{f' ({first.group().upper()[:24]})' if first else ''}"
         )
 
@@ -166,12 +166,12 @@ class Notes:
             line.take()
         kind = line.take()
         if kind.kind != "name" or not (stated or kind.text in table.TYPES):
-            raise Misread
+            raise MalformedStatement
         given: list[Assignment] = []
         while True:
             name = line.take()
             if name.kind != "name":
-                raise Misread
+                raise MalformedStatement
             self._names.declare(scope, name.text, kind.text, public)
             to = line.variable(name)
             if line.peek() == "=":
@@ -197,7 +197,7 @@ class Notes:
                 continue
             opens = k + 1 < len(rest) and rest[k + 1].text == "("
             if opens and token.text not in _BEFORE_BRACKETS and token.text not in table.FUNCTIONS:
-                raise Misread
+                raise MalformedStatement
             self._said.reads.append(Mention(self._variable(token.text, token.start), self._file, "computes with it"))
 
     def _written(self, assignment: Assignment) -> None:
@@ -238,16 +238,16 @@ class Notes:
         if name in table.ODD:
             self._said.odd.add(name)
         if name == "bas" or name in table.ODD:
-            return [Step(Carried(call, self._line_name(call.start)))]
+            return [Step(ControllerCall(call, self._line_name(call.start)))]
         if name in table.FUNCTIONS and name not in self._names.twice:
             first = call.arguments[0] if call.arguments else None
             if name == "cwrite" and isinstance(first, Variable) and first.key == "$cmd":
-                return [Step(Unclear(f"{self._line_name(call.start)} writes to the command channel"))]
+                return [Step(UnclearStatement(f"{self._line_name(call.start)} writes to the command channel"))]
             return []
         if (name in table.WRITING or name in table.PACKAGES) and name not in self._names.twice:
             if name in table.PACKAGES:
                 self._said.packages.add(name.upper())
-            return [Step(Assignment(variable, Worked(()))) for variable in self._passed(call)]
+            return [Step(Assignment(variable, Computation(()))) for variable in self._passed(call)]
         self._said.missing.add(name)
         self._passed(call)
         return [Call(name, call)]
