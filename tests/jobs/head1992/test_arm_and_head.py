@@ -88,7 +88,7 @@ def test_poses_of_the_camera_are_right_within_a_few_sigma_where_the_head_is_soun
 def test_an_arm_that_does_not_repeat_weighs_on_the_poses_and_not_on_what_shots_say_by_themselves():
     found, rng = [], np.random.default_rng(4)
     for size in (0.0, 2e-4):
-        given, q = shots(30, START, more="diagnosis: {enabled: false}")
+        given, q = shots(40, START, more="diagnosis: {enabled: false}")
         rows = replace(given.rows, readings=given.rows.readings + size * rng.standard_normal(q.shape))
         arm = calibrated(replace(given, rows=rows))[0]
         assert arm.causes is not None
@@ -109,9 +109,8 @@ def test_what_an_arm_lacks_and_nobody_seeks_is_structure_in_shots_as_it_is_in_po
     model = replace(MODEL.with_coefficients((*MODEL.coefficients, bends)), around=around)
     off = "diagnosis: {enabled: false}"
     for size, words in ((0.0, {"noise_floor"}), (2e-6, {"structure_remains"})):
-        given, _ = shots(45, START, more=off, model=model, theta=np.append(THETA, size))
-        said = judge_arm(calibrated(given)[0])
-        count = unpacked(given.rows.observed, 4).count
-        assert count.min() < 6 + 13 <= count.max()
+        given, _ = shots(60, START, more=off, model=model, theta=np.append(THETA, size))
+        said = judged(calibrated(given)[0])
+        assert given.rows.observed[:, COUNT].min() < 6 + 13 <= given.rows.observed[:, COUNT].max()
         assert said.verdict.word in words
         assert all(np.isfinite(clue.share) for clue in said.clues)
