@@ -1,6 +1,6 @@
 """How sure is sure enough: one level for each kind of proof, whatever it is asked of.
 
-Each has a row in ``docs/how-the-search-works.md``.
+Each has a row in ``docs/thresholds.md``.
 """
 
 from __future__ import annotations

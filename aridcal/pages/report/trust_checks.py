@@ -24,7 +24,7 @@ from aridcal.jobs.calibrate.key_figures import (
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.parts import division_in_words, p_of_halves
 from aridcal.pages.drawing.words import scale_in_words, tolerance_in_words
-from aridcal.system.wording import number
+from aridcal.system.wording import number, plural
 
 MOST_NAMES = 3
 

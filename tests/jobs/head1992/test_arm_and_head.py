@@ -110,7 +110,8 @@ def test_what_an_arm_lacks_and_nobody_seeks_is_structure_in_shots_as_it_is_in_po
     off = "diagnosis: {enabled: false}"
     for size, words in ((0.0, {"noise_floor"}), (2e-6, {"structure_remains"})):
         given, _ = shots(60, START, more=off, model=model, theta=np.append(THETA, size))
-        said = judged(calibrated(given)[0])
-        assert given.rows.observed[:, COUNT].min() < 6 + 13 <= given.rows.observed[:, COUNT].max()
+        said = judge_arm(calibrated(given)[0])
+        count = unpacked(given.rows.observed, 4).count
+        assert count.min() < 6 + 13 <= count.max()
         assert said.verdict.word in words
         assert all(np.isfinite(clue.share) for clue in said.clues)
