@@ -241,7 +241,9 @@ Writer = Callable[[Term, Sequence[str]], str]
 """Writes a term, given its arguments as they are written, which stand for themselves beside any operator."""
 
 
-def statements(formulas: Sequence[Formula], write: Writer, number: Callable[[float], str]) -> tuple[list[Statement], list[str]]:
+def statements(
+    formulas: Sequence[Formula], write: Writer, number: Callable[[float], str]
+) -> tuple[list[Statement], list[str]]:
     """Formulas as lines of a program: what has a name, or is needed twice, gets a line of its own.
 
     Args:
@@ -282,10 +284,35 @@ def statements(formulas: Sequence[Formula], write: Writer, number: Callable[[flo
         if id(term) in label or (uses.get(id(term), 0) > 1 and not leaf):
             name, comment = label.get(id(term), ("part", ""))
             content = _unused(name, used)
-            lines.append(Statement(content, written_out, comment))
+            lines.append(Statement(content, bare(written_out), comment))
             used.add(content)
         written[id(term)] = content
-    return lines, [text(formula) for formula in formulas]
+    return lines, [bare(text(formula)) for formula in formulas]
+
+
+def infix(term: Term, of: Sequence[str]) -> str:
+    """A sum, difference, product or quotient in brackets, which C and Python write alike; inside of it none that say nothing."""
+    if len(of) == 1:
+        return f"(-{of[0]})"
+    operation, (left, right) = term.operation, of
+    inner = [each.operation if isinstance(each, Term) else None for each in term.of]
+    if operation in "+-" or inner[0] in ("*", "/"):
+        left = bare(left)
+    if operation in "+-" and inner[1] in ("*", "/"):
+        right = bare(right)
+    if operation in "+-" and inner[1] is None and right.startswith("-"):
+        return f"({left} {'-' if operation == '+' else '+'} {right[1:]})"
+    return f"({left} {operation} {right})"
+
+
+def bare(text: str) -> str:
+    """A formula without the brackets around all of it."""
+    depth = 0
+    for k, sign in enumerate(text):
+        depth += {"(": 1, ")": -1}.get(sign, 0)
+        if depth == 0:
+            return text[1:-1] if k and k == len(text) - 1 and text[0] == "(" else text
+    return text
 
 
 def _unused(name: str, used: Collection[str]) -> str:

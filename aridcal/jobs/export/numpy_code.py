@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pinocchio as pin
 
-from aridcal.jobs.export.expressions import Term, statements, walk
+from aridcal.jobs.export.expressions import Term, bare, infix, statements, walk
 from aridcal.jobs.export.machine import Chain, Machine
 
 FUNCTIONS = {
@@ -132,21 +132,19 @@ def _written(term: Term, of: Sequence[str]) -> str:
             return f"q[:, {term.index}]"
         case "condition":
             return f"c[{term.index}]"
-        case "+" | "-" | "*" | "/" if len(of) == 2:
-            return f"({of[0]} {term.operation} {of[1]})"
-        case "-":
-            return f"(-{of[0]})"
+        case "+" | "-" | "*" | "/":
+            return infix(term, of)
         case "sin" | "cos" | "sign":
-            return f"np.{term.operation}({of[0]})"
+            return f"np.{term.operation}({bare(of[0])})"
         case "power":
             return f"{of[0]} ** {of[1]}"
         case "before":
-            return f"np.where({of[0]} < {of[1]}, -1.0, 0.0)"
+            return f"np.where({bare(of[0])} < {of[1]}, -1.0, 0.0)"
         case _:
             assert term.table is not None
             table = f"_{term.table.name.upper()}"
             placed = [repr(term.table.start), repr(term.table.step)] if term.operation == "curve" else []
-            return f"_{term.operation}({', '.join([*of, *placed, table])})"
+            return f"_{term.operation}({', '.join([*map(bare, of), *placed, table])})"
 
 
 def _table(term: Term) -> str:
