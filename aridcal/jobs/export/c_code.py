@@ -132,9 +132,14 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
         _array("turning", "[NAME_JOINTS]", [str(int(each)) for each in machine.turning], "int"),
         *_tables(both),
         *_functions(both),
-        _program("places", machine.conditions, {"at": machine.model.at}),
-        _program("places_and_slopes", machine.conditions, {"at": machine.model.at, "slope": slopes}),
-        _program("nominal_places", None, {"at": machine.nominal.at}),
+        _program("places", machine.conditions, {"at": machine.model.at}, _stands(machine.model)),
+        _program(
+            "places_and_slopes",
+            machine.conditions,
+            {"at": machine.model.at, "slope": slopes},
+            [*_stands(machine.model), *(f"by q[{j}]: {machine.model.steps[k].name}" for k, j, _ in machine.slopes)],
+        ),
+        _program("nominal_places", None, {"at": machine.nominal.at}, _stands(machine.nominal)),
         _finite_conditions(machine),
         WALK.strip(),
         _in_range(machine),
@@ -159,6 +164,11 @@ def _steps(array: str, size: str, chain: Chain) -> str:
     lines = [f"    {{{int(step.turns)}, {_frame(step.placement)}}}, /* {_plain(step.name)} */" for step in chain.steps]
     lines.append(f"    {{-1, {_frame(chain.end)}}} /* the target */")
     return f"static const step {array}[{size} + 1] = {{\n" + "\n".join(lines) + "\n};"
+
+
+def _stands(chain: Chain) -> list[str]:
+    """What each step is, and in which unit it stands."""
+    return [f"{step.name}, {'rad' if step.turns else 'm'}" for step in chain.steps]
 
 
 def _frame(placement: pin.SE3) -> str:
@@ -197,14 +207,17 @@ def _functions(formulas: Sequence[Formula]) -> list[str]:
     return [text.strip() for key, text in TABLE_FUNCTIONS.items() if key in wanted]
 
 
-def _program(name: str, conditions: Sequence[Quantity] | None, results: Mapping[str, Sequence[Formula]]) -> str:
+def _program(
+    name: str, conditions: Sequence[Quantity] | None, results: Mapping[str, Sequence[Formula]], comments: Sequence[str]
+) -> str:
     """A function that fills arrays with formulas of readings, and of conditions if it has any."""
     formulas = [formula for part in results.values() for formula in part]
     fields = [_theirs(each.identifier) for each in conditions or ()]
     lines, texts = statements(formulas, lambda term, of: _written(term, of, fields), _number)
     targets = [f"{array}[{k}]" for array, part in results.items() for k in range(len(part))]
     body = [_line(f"const double {n} = {text};", comment) for n, text, comment in lines]
-    body += [_line(f"{target} = {text};", "") for target, text in zip(targets, texts, strict=True)]
+    every = zip(targets, texts, comments, strict=True)
+    body += [_line(f"{target} = {text};", comment) for target, text, comment in every]
     if conditions is not None and not any(term.operation == "condition" for term in walk(formulas)):
         body.insert(0, "    (void)c;")
     inputs = "const double q[]" + ("" if conditions is None else ", const NAME_conditions *c")

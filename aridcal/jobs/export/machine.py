@@ -131,19 +131,19 @@ def machine(saved: SavedModel) -> Machine:
     model, theta, robot = solved.model, solved.theta, solved.model.robot
     locked = model.locked(theta, *frames)
     symbols = _Symbols(saved, locked)
-    at = symbols.places(theta)
+    chain = _chain(locked, symbols.places(theta))
     world, tip = model.frames(theta)
     bare = replace(model, coefficients=(), world_base=world, tip_target=tip)
     bare_locked = bare.locked(np.zeros(0), *frames)
     derivatives = Derivatives()
-    slopes = [(k, j, slope) for k, each in enumerate(at) for j, slope in sorted(derivatives.of(each).items())]
+    slopes = [(k, j, slope) for k, each in enumerate(chain.at) for j, slope in sorted(derivatives.of(each).items())]
     inverse = saved.inverse_kinematics(*frames)
     lean = int(inverse.model.moves.sum()) < (6 if inverse.pose else 3)
     limits = [MOST_UNAVOIDABLE if lean else max(sigma, FINEST_NOISE) for sigma in saved.noise]
     return Machine(
         joints=symbols.joints,
         conditions=symbols.conditions,
-        model=_chain(locked, at),
+        model=chain,
         nominal=_chain(bare_locked, [symbols.positions[robot.names[j]] for j in bare_locked.joints]),
         slopes=tuple(slopes),
         limits=np.column_stack([inverse.low, inverse.high]),
@@ -159,19 +159,31 @@ def machine(saved: SavedModel) -> Machine:
 
 
 def _chain(locked: Locked, at: Sequence[Formula]) -> Chain:
-    """The joints of a Pinocchio model as steps, each frame turned so that its joint moves about or along z."""
-    steps, before = [], np.eye(3)
+    """The joints of a Pinocchio model as steps, each frame turned so that its joint moves about or along z.
+
+    Where one moves as the next does, from the same place, the two are one step: an error of a joint's own axis is added to its reading.
+    """
+    steps: list[Step] = []
+    stands: list[Formula] = []
+    before = np.eye(3)
     for k in range(1, locked.model.njoints):
         joint, placement = locked.model.joints[k], locked.model.jointPlacements[k]
         kind = joint.shortname().removeprefix("JointModel")
         axis = np.eye(3)["XYZ".index(kind[1])] if len(kind) == 2 else np.array(joint.extract().axis)
         e1, _ = transverse(axis)
         onto = np.column_stack([e1, np.cross(axis, e1), axis])
+        name, turns = str(locked.model.names[k]), kind.startswith("R")
+        same = bool(steps) and np.array_equal(placement.homogeneous, np.eye(4)) and np.array_equal(onto, before)
+        if same and steps[-1].turns == turns:
+            own = min(steps[-1].name, name, key=len)  # a robot's own joint has the shorter name
+            steps[-1], stands[-1] = steps[-1]._replace(name=own), stands[-1] + at[k - 1]
+            continue
         turned = pin.SE3(before.T @ placement.rotation @ onto, before.T @ placement.translation)
-        steps.append(Step(str(locked.model.names[k]), turned, kind.startswith("R")))
+        steps.append(Step(name, turned, turns))
+        stands.append(at[k - 1])
         before = onto
     end = pin.SE3(before.T @ locked.target.rotation, before.T @ locked.target.translation)
-    return Chain(tuple(steps), end, tuple(at))
+    return Chain(tuple(steps), end, tuple(stands))
 
 
 class _Symbols:
@@ -238,9 +250,7 @@ class _Symbols:
             grouped.append((carrier, form, members))
         for name, (carrier, form, members) in zip(different(names), grouped, strict=True):
             parts[carrier].append(self._table(name, form, members, theta))
-        return tuple(
-            named(total(each), f"{identifier(str(locked.model.names[k + 1]))}_stands") for k, each in enumerate(parts)
-        )
+        return tuple(map(total, parts))
 
     def _table(self, name: str, form: str, members: Sequence[int], theta: np.ndarray) -> Formula:
         """The sum of many alike bases times their coefficients, as a table of numbers."""
