@@ -12,14 +12,18 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.engine.corrections.labels import is_label
-from aridcal.engine.inverse.one_pose import FIRST_DAMPING, LARGEST_TURN, SINGULAR_DAMPING
+from aridcal.engine.inverse.one_pose import LARGEST_TURN, SINGULAR_DAMPING
 from aridcal.jobs.export.c_texts import CMAKE, HEADER, SOLVER, TABLE_FUNCTIONS, TEST, WALK
 from aridcal.jobs.export.expressions import Formula, Term, bare, infix, statements, walk
 from aridcal.jobs.export.machine import Chain, Machine, Quantity
 
-NEWTON_STEPS = 8
-"""Work: three settle where the effects are those of a real arm; the others are for singular places, of which the damping is
-found within them."""
+NEWTON_STEPS = 16
+"""Work: three settle where the arm is free to move; the others are for singular places, of which the damping is found within
+them. A UR10 with a map of 49 numbers takes 35 us for all."""
+
+FIRST_DAMPING, DAMPING_FACTOR = 1e-7, 5.0
+"""Damping where a step without any does not help, and by how much it rises or falls then: within the steps above both find what
+`compensate` finds with 40 and four further starts (benchmarks/export.py)."""
 
 WIDE = 118
 """Letters in a line of a file."""
@@ -110,6 +114,7 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
         "NEWTON_STEPS": (NEWTON_STEPS, ""),
         "LARGEST_TURN": (LARGEST_TURN, "rad, in one of them"),
         "FIRST_DAMPING": (FIRST_DAMPING, "where a step without damping does not help"),
+        "DAMPING_FACTOR": (DAMPING_FACTOR, "by which it rises and falls"),
         "TINY": (SINGULAR_DAMPING, "damping that keeps a singular arm's step finite"),
         "REACHED_M": (_number(machine.reached[0]), "m"),
         "REACHED_RAD": (_number(machine.reached[1]), "rad"),

@@ -390,13 +390,13 @@ NAME_status NAME_correct(const double wanted[], const NAME_conditions *c, double
         const double square_trial = look(trial, c, &goal, e_trial, J_trial, miss_trial);
         if (square_trial < square) {
             square = square_trial;
-            damping = damping < FIRST_DAMPING ? 0.0 : damping / 10.0;
+            damping = damping <= FIRST_DAMPING ? 0.0 : damping / DAMPING_FACTOR;
             memcpy(at, trial, sizeof at);
             memcpy(e, e_trial, sizeof e);
             memcpy(J, J_trial, sizeof J);
             memcpy(miss, miss_trial, sizeof miss);
         } else {
-            damping = damping * 10.0 > FIRST_DAMPING ? damping * 10.0 : FIRST_DAMPING;
+            damping = damping > 0.0 ? damping * DAMPING_FACTOR : FIRST_DAMPING;
         }
     }
     memcpy(q, at, sizeof at);
@@ -412,7 +412,7 @@ NAME_status NAME_correct(const double wanted[], const NAME_conditions *c, double
 """
 
 TEST = """\
-/* {count} rows of `aridcal predict`: exit status 0 if NAME_forward agrees with all of them. */
+/* {count} rows of `aridcal predict`, written by `aridcal export`: exit status 0 if NAME_forward agrees with all of them. */
 
 #include "NAME.h"
 
@@ -449,6 +449,7 @@ int main(void)
 """
 
 CMAKE = """\
+# written by `aridcal export`
 cmake_minimum_required(VERSION 3.10)
 project(NAME C)
 set(CMAKE_C_STANDARD 99)

@@ -29,3 +29,8 @@ def different(names: Sequence[str]) -> list[str]:
             plain, k = f"{identifier(name)}_{k}", k + 1
         result.append(plain)
     return result
+
+
+def is_identifier(name: str) -> bool:
+    """True for a name that C takes."""
+    return re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None and name not in C_WORDS

@@ -33,6 +33,7 @@ from aridcal.jobs.export.expressions import (
 )
 from aridcal.jobs.export.identifiers import different, identifier
 from aridcal.jobs.export.nominal_tree import NominalTree, position
+from aridcal.system.errors import AridcalError
 
 Range = tuple[float, float]
 
@@ -289,9 +290,10 @@ class _Symbols:
                 return (z[0] - n[0]) * (power(grown, n[2]) if isinstance(grown, Term) else grown ** n[2])
             case "step":
                 return Term("before", (z[0], n[0]))
-            case _:
-                assert basis.form == "label"
+            case "label":
                 return z[0]
+            case _:
+                raise AridcalError(f"an effect has the basis {basis.form!r}, which no export knows: use `aridcal predict`")
 
     def _covariate(self, name: str) -> Formula:
         if name not in self._cache:
