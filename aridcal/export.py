@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,9 @@ from aridcal.system.reading.user_names import path_argument
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("export", __doc__)
-    arguments.add_argument("calibration", type=path_argument, metavar="RESULTS", help="result folder, or calibration.yaml")
+    arguments.add_argument(
+        "calibration", type=path_argument, metavar="RESULTS", help="result folder, or calibration.yaml"
+    )
     arguments.add_argument("--list", action="store_true", help="say who can be given what, and the error that remains")
     arguments.add_argument("--c", type=path_argument, metavar="DIR", help="write C99 into this folder")
     arguments.add_argument("--name", help="with --c: what all names begin with (default: the folder's name)")
@@ -48,7 +51,9 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> None:
     console, _ = screens(arguments)
     if not (arguments.list or arguments.c or arguments.numpy or arguments.casadi):
-        raise OutputError("say what to write: `--c DIR`, `--numpy FILE.py` or `--casadi FILE.casadi`; `--list` has them all")
+        raise OutputError(
+            "say what to write: `--c DIR`, `--numpy FILE.py` or `--casadi FILE.casadi`; `--list` has them all"
+        )
     if arguments.name is not None and not arguments.c:
         raise OutputError("--name is of --c DIR: give that, too")
     if arguments.numpy and arguments.numpy.suffix != ".py":
@@ -57,7 +62,7 @@ def _main(arguments: argparse.Namespace) -> None:
         raise OutputError(f"{arguments.casadi}: should be a .casadi file")
     path = calibration_file(arguments.calibration)
     if arguments.list:
-        _list(console, path)
+        _list(console, path, arguments.calibration)
     if arguments.c:
         described, name = export_c(path, arguments.c, arguments.name)
         console.say(f"{arguments.c}: {name}.h, {name}.c, {name}_test.c, CMakeLists.txt", *_lines(described))
@@ -80,13 +85,13 @@ def _lines(described: Machine) -> list[str]:
     return lines
 
 
-def _list(console: Screen, path: Path) -> None:
+def _list(console: Screen, path: Path, named: Path) -> None:
     """Print the table of receivers."""
     result = _result(path)
     for receiver in RECEIVERS:
         console.say(
             f"{receiver.who}: {HOLDS[receiver.holds]}, {remaining(receiver, result)}",
-            f"    aridcal export {path} {receiver.option}",
+            f"    aridcal export {shlex.quote(str(named))} {receiver.option}",
         )
 
 

@@ -44,7 +44,9 @@ def export_c(calibration: Path, folder: Path, name: str | None) -> tuple[Machine
     """
     name = identifier(folder.resolve().name) if name is None else name
     if not is_identifier(name):
-        raise OutputError(f"--name {shortened(name)}: is no name in C: use letters, digits and _, and begin with a letter")
+        raise OutputError(
+            f"--name {shortened(name)}: is no name in C: use letters, digits and _, and begin with a letter"
+        )
     names = [f"{name}.h", f"{name}.c", f"{name}_test.c", "CMakeLists.txt"]
     paths = [folder / each for each in names]
     check_apart(paths, [calibration])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
@@ -16,6 +15,7 @@ from aridcal.engine.inverse.one_pose import LARGEST_TURN, SINGULAR_DAMPING
 from aridcal.jobs.export.c_texts import CMAKE, HEADER, SOLVER, TABLE_FUNCTIONS, TEST, WALK
 from aridcal.jobs.export.expressions import Formula, Term, bare, infix, statements, walk
 from aridcal.jobs.export.machine import Chain, Machine, Quantity
+from aridcal.system.errors import printable
 
 NEWTON_STEPS = 16
 """Work: three settle where the arm is free to move; the others are for singular places, of which the damping is found within
@@ -78,13 +78,19 @@ def _header(machine: Machine, digest: str, about: Sequence[str]) -> str:
     lines = ["/* " + _plain(about[0]), " *", *(f" * {_plain(line)}" for line in about[1:])]
     lines += [" *", " * Readings:", *map(_plain, joints)]
     if effects:
-        lines += [" *", " * Effects beside the constants, in m or rad times what they depend on:", *map(_plain, effects)]
+        lines += [
+            " *",
+            " * Effects beside the constants, in m or rad times what they depend on:",
+            *map(_plain, effects),
+        ]
     sizes = [
         f"#define NAME_JOINTS {len(machine.joints)}",
         f"#define NAME_CONDITIONS {len(machine.conditions)}",
         f'#define NAME_HASH "{digest}" /* sha256 of calibration.yaml */',
     ]
-    fields = [f"    double {_theirs(each.identifier)}; /* {_plain(each.unit + _seen(each))} */" for each in machine.conditions]
+    fields = [
+        f"    double {_theirs(each.identifier)}; /* {_plain(each.unit + _seen(each))} */" for each in machine.conditions
+    ]
     fields = fields or ["    double none; /* the model depends on nothing beside the readings */"]
     text = HEADER.replace("{sizes}", "\n".join(sizes)).replace("{conditions}", "\n".join(fields))
     text = text.replace("{no_rotation}", "" if machine.pose else ": NAN, the target's rotation was not measured")
@@ -99,7 +105,7 @@ def _seen(quantity: Quantity) -> str:
 
 def _plain(text: str) -> str:
     """Text that ends no comment."""
-    return _theirs(text.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?"))
+    return _theirs(printable(text).replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?"))
 
 
 def _code(machine: Machine, about: Sequence[str]) -> str:
@@ -119,11 +125,11 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
         "REACHED_M": (_number(machine.reached[0]), "m"),
         "REACHED_RAD": (_number(machine.reached[1]), "rad"),
     }
-    defines = "\n".join(f"#define {key} {value}{f' /* {why} */' if why else ''}" for key, (value, why) in constants.items())
+    defines = [f"#define {key} {value}{f' /* {why} */' if why else ''}" for key, (value, why) in constants.items()]
     sections = [
         f"/* {_plain(about[0])} */",
         '#include "NAME.h"\n\n#include <math.h>\n#include <string.h>',
-        defines,
+        "\n".join(defines),
         _names("NAME_joint_names", machine.joints),
         _names("NAME_condition_names", machine.conditions),
         _STEP,
@@ -135,6 +141,7 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
         _array("limit", "[NAME_JOINTS][2]", [f"{{{_number(a)}, {_number(b)}}}" for a, b in machine.limits.tolist()]),
         _array("moves", "[NAME_JOINTS]", [str(int(each)) for each in machine.moves], "int"),
         _array("turning", "[NAME_JOINTS]", [str(int(each)) for each in machine.turning], "int"),
+        *_ranges(machine),
         *_tables(both),
         *_functions(both),
         _program("places", machine.conditions, {"at": machine.model.at}, _stands(machine.model)),
@@ -161,8 +168,19 @@ typedef struct {
 
 
 def _names(array: str, quantities: Sequence[Quantity]) -> str:
-    names = [_theirs(json.dumps(each.name, ensure_ascii=False)) for each in quantities]
+    names = [_theirs(_string(each.name)) for each in quantities]
     return f"const char *const {array}[] = {{{', '.join([*names, '0'])}}};"
+
+
+def _string(text: str) -> str:
+    """A text in C, whatever it holds."""
+
+    def spelt(letter: str) -> str:
+        if letter.isprintable() and letter not in '"\\?':
+            return letter
+        return "".join(f"\\{byte:03o}" for byte in letter.encode("utf-8", "surrogatepass"))
+
+    return f'"{"".join(map(spelt, text))}"'
 
 
 def _steps(array: str, size: str, chain: Chain) -> str:
@@ -189,7 +207,9 @@ def _wrapped(text: str, indent: str) -> str:
     """Text in one line, or in several that are indented."""
     if len(text) < WIDE // 2:
         return text
-    lines = wrap(text, WIDE, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    lines = wrap(
+        text, WIDE, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
     return "\n" + "\n".join(lines) + "\n"
 
 
@@ -273,31 +293,34 @@ def _finite_conditions(machine: Machine) -> str:
     return "static int finite_conditions(const NAME_conditions *c)\n{\n" + _line(f"return c && {checks};", "") + "\n}"
 
 
-def _in_range(machine: Machine) -> str:
+def _ranges(machine: Machine) -> list[str]:
+    """What was measured of each input: readings, then conditions."""
     every = [*machine.joints, *machine.conditions]
-    values = [f"q[{k}]" for k in range(len(machine.joints))] + [f"c->{_theirs(each.identifier)}" for each in machine.conditions]
     ranges = [f"{{{_number(low)}, {_number(high)}}}" for low, high in (each.range for each in every)]
-    holes = [
-        f"{{{k}, {_number(low)}, {_number(high)}}}" for k, each in enumerate(every) for low, high in each.holes
-    ]
-    labels = [f"c->{_theirs(each.identifier)} > 0.0" for each in machine.conditions if is_label(each.name)]
-    lines = [f"    static const double range[{len(every)}][2] = {{" + _wrapped(", ".join(ranges), " " * 8) + "    };"]
-    lines[0] = lines[0].replace("}    };", "}};") if "\n" not in lines[0] else lines[0]
+    holes = [f"{{{k}, {_number(low)}, {_number(high)}}}" for k, each in enumerate(every) for low, high in each.holes]
+    texts = [_array("range", f"[{len(every)}][2]", ranges)]
     if holes:
-        lines.append(
-            f"    static const struct {{\n        int of;\n        double low, high;\n    }} hole[{len(holes)}] = {{"
-            + _wrapped(", ".join(holes), " " * 8) + "};"
-        )
-    lines += ["    if (!finite_readings(q) || !finite_conditions(c))", "        return NAME_BAD_INPUT;"]
-    lines.append(_line(f"const double value[] = {{{', '.join(values)}}};", ""))
-    lines += [
-        f"    for (int k = 0; k < {len(every)}; k++)",
+        texts.append("typedef struct {\n    int of;\n    double low, high;\n} gap;")
+        texts.append(_array("hole", f"[{len(holes)}]", holes, "gap"))
+    return texts
+
+
+def _in_range(machine: Machine) -> str:
+    values = [f"q[{k}]" for k in range(len(machine.joints))]
+    values += [f"c->{_theirs(each.identifier)}" for each in machine.conditions]
+    holes = sum(len(each.holes) for each in (*machine.joints, *machine.conditions))
+    labels = [f"c->{_theirs(each.identifier)} > 0.0" for each in machine.conditions if is_label(each.name)]
+    lines = [
+        "    if (!finite_readings(q) || !finite_conditions(c))",
+        "        return NAME_BAD_INPUT;",
+        _line(f"const double value[] = {{{', '.join(values)}}};", ""),
+        f"    for (int k = 0; k < {len(values)}; k++)",
         "        if (value[k] < range[k][0] || value[k] > range[k][1])",
         "            return NAME_OUT_OF_RANGE;",
     ]
     if holes:
         lines += [
-            f"    for (int k = 0; k < {len(holes)}; k++)",
+            f"    for (int k = 0; k < {holes}; k++)",
             "        if (value[hole[k].of] > hole[k].low && value[hole[k].of] < hole[k].high)",
             "            return NAME_OUT_OF_RANGE;",
         ]

@@ -1,6 +1,7 @@
 """Formulas of readings and conditions as graphs, which printers write in any language and which differentiate themselves.
 
-A formula is a plain number as long as nothing in it varies, and a :class:`Term` otherwise: what is zero in all rows costs nothing.
+A formula is a plain number as long as nothing in it varies, and a :class:`Term` otherwise: what is zero in all rows costs
+nothing.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from aridcal.engine.corrections.loads import Surroundings, is_load, needs
 from aridcal.engine.corrections.sights import TARGET
 from aridcal.engine.inverse.one_pose import FINEST_NOISE, MOST_UNAVOIDABLE
 from aridcal.engine.inverse.one_row import curve_of, evenly_spaced
-from aridcal.engine.model.model import Locked, Model
+from aridcal.engine.model.model import Locked
 from aridcal.engine.robot.chain import Robot, Route
 from aridcal.engine.robot.kinematics import transverse
 from aridcal.jobs.calibrate.saved_model import SavedModel
@@ -162,7 +162,8 @@ def machine(saved: SavedModel) -> Machine:
 def _chain(locked: Locked, at: Sequence[Formula]) -> Chain:
     """The joints of a Pinocchio model as steps, each frame turned so that its joint moves about or along z.
 
-    Where one moves as the next does, from the same place, the two are one step: an error of a joint's own axis is added to its reading.
+    Where one moves as the next does, from the same place, the two are one step: an error about a joint's own axis is added to
+    its reading.
     """
     steps: list[Step] = []
     stands: list[Formula] = []
@@ -217,7 +218,9 @@ class _Symbols:
         self._readings = [Term("reading", index=k) for k in range(len(robot.readings))]
         by_name: dict[str, Formula] = dict(zip(robot.readings, self._readings, strict=True))
         self.positions = {
-            j.name: named(position(j.drive, by_name), f"{identifier(j.name)}_position", "rad" if j.kind == "revolute" else "m")
+            j.name: named(
+                position(j.drive, by_name), f"{identifier(j.name)}_position", "rad" if j.kind == "revolute" else "m"
+            )
             for j in robot.joints
         }
         self._given: dict[str, Formula] = {name: Term("condition", index=k) for k, name in enumerate(columns)}
@@ -293,7 +296,9 @@ class _Symbols:
             case "label":
                 return z[0]
             case _:
-                raise AridcalError(f"an effect has the basis {basis.form!r}, which no export knows: use `aridcal predict`")
+                raise AridcalError(
+                    f"an effect has the basis {basis.form!r}, which no export knows: use `aridcal predict`"
+                )
 
     def _covariate(self, name: str) -> Formula:
         if name not in self._cache:
@@ -350,9 +355,7 @@ def _unit(name: str, robot: Robot) -> str:
     if is_label(name):
         return f"1 where {name.partition('[')[0]} is {label_in(name)}, else 0"
     if name.removesuffix("_direction") in robot.names and name.endswith("_direction"):
-        return (
-            "1: the joint came to its place with its reading rising, -1: falling, 0: nobody knows"
-        )
+        return "1: the joint came to its place with its reading rising, -1: falling, 0: nobody knows"
     if name == "time":
         return "as in the calibration's tables, dates and times of day in s"
     if name.startswith("payload"):

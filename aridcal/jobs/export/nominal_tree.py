@@ -62,7 +62,9 @@ class NominalTree:
             origin = [named(x, f"{name}_at_{'xyz'[n]}", "m") for n, x in enumerate(origin)]
             self._frames.append(_Frame(bearing, axes, origin))
 
-    def load(self, joint: Joint, kind: str, gravity: Sequence[float], payloads: Sequence[tuple[Payload, Formula]]) -> Formula:
+    def load(
+        self, joint: Joint, kind: str, gravity: Sequence[float], payloads: Sequence[tuple[Payload, Formula]]
+    ) -> Formula:
         """A load on a joint.
 
         Args:
@@ -87,13 +89,9 @@ class NominalTree:
                 weight = [of_mass * (g * (-1.0 if joint.climbs else 1.0)) for g in gravity]
                 lever = _sum(self._point(link, payload.lever), [-x for x in frame.origin])
                 force, moment = _sum(force, weight), _sum(moment, cross(lever, weight))
-        if kind.startswith("gravity_moment_"):
-            about = direction(kind.removeprefix("gravity_moment_"), joint.axis)
-        else:
-            about = joint.axis
-        along = _along(frame.bearing, about)
-        driven_by_force = joint.kind == "prismatic" and not kind.startswith("gravity_moment_")
-        return dot(along, force if driven_by_force else moment)
+        across = kind.startswith("gravity_moment_")
+        about = direction(kind.removeprefix("gravity_moment_"), joint.axis) if across else joint.axis
+        return dot(_along(frame.bearing, about), moment if across or joint.kind == "revolute" else force)
 
     def target(self, place: np.ndarray) -> Vector:
         """Where a place on the tip, shape (3,), is, [m]."""
@@ -162,7 +160,11 @@ class NominalTree:
         for i in range(3):
             # A' = A + sin q A [a] + (1 - cos q) A [a]^2, the columns of A being its axes
             still, by_sine, by_cosine = np.eye(3)[i] + twice[:, i], once[:, i], -twice[:, i]
-            parts = [_along(axes, still), [s * x for x in _along(axes, by_sine)], [c * x for x in _along(axes, by_cosine)]]
+            parts = [
+                _along(axes, still),
+                [s * x for x in _along(axes, by_sine)],
+                [c * x for x in _along(axes, by_cosine)],
+            ]
             turned.append([total(each) for each in zip(*parts, strict=True)])
         return turned, origin
 

@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from aridcal.jobs.export.expressions import Term, bare, infix, statements, walk
 from aridcal.jobs.export.machine import Chain, Machine
+from aridcal.system.errors import printable
 
 FUNCTIONS = {
     "curve": '''
@@ -109,7 +110,7 @@ def numpy_module(machine: Machine, digest: str, about: Sequence[str]) -> str:
     lines, at = statements(machine.model.at, _written, repr)
     tables = {term.table.name: term for term in walk(machine.model.at) if term.table is not None}
     used = {term.operation for term in tables.values()}
-    first, *others = (line.replace("\\", "/").replace('"""', "'''") for line in about)
+    first, *others = (printable(line).replace("\\", "/").replace('"""', "'''") for line in about)
     return TEMPLATE.format(
         title=first,
         about="\n".join(others),
@@ -153,7 +154,7 @@ def _table(term: Term) -> str:
 
 
 def _steps(chain: Chain) -> str:
-    return "\n".join(f"    ({step.turns}, {_frame(step.placement)}),  # {step.name}" for step in chain.steps)
+    return "\n".join(f"    ({step.turns}, {_frame(step.placement)}),  # {printable(step.name)}" for step in chain.steps)
 
 
 def _frame(placement: pin.SE3) -> str:

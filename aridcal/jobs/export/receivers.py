@@ -41,6 +41,8 @@ def remaining(receiver: Receiver, result: Mapping[str, Any] | None) -> str:
     """
     parts = (result or {}).get("error", {}).get(receiver.holds, {})
     figures = parts.get("test") or parts.get("train") or {}
-    shown = [f"{of['rms']:.3f} {channel.rsplit('_', 1)[1]}" for channel, of in figures.items() if of.get("rms") is not None]
+    shown = [
+        f"{of['rms']:.3f} {channel.rsplit('_', 1)[1]}" for channel, of in figures.items() if of.get("rms") is not None
+    ]
     rows = "held-out" if parts.get("test") else "fitted"
     return f"{' and '.join(shown)} on {rows} rows" if shown else "not in this folder: no result.json"
