@@ -11,19 +11,22 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.engine.corrections.labels import is_label
-from aridcal.engine.inverse.one_pose import LARGEST_TURN, SINGULAR_DAMPING
+from aridcal.engine.inverse.one_pose import FIRST_DAMPING, KICK, LARGEST_TURN, SINGULAR_DAMPING
 from aridcal.jobs.export.c_texts import CMAKE, HEADER, SOLVER, TABLE_FUNCTIONS, TEST, WALK
 from aridcal.jobs.export.expressions import Formula, Term, bare, infix, statements, walk
 from aridcal.jobs.export.machine import Chain, Machine, Quantity
 from aridcal.system.errors import printable
 
-NEWTON_STEPS = 16
-"""Work: three settle where the arm is free to move; the others are for singular places, of which the damping is found within
-them. A UR10 with a map of 49 numbers takes 35 us for all."""
+NEWTON_STEPS, STARTS = 12, 3
+"""Work: three steps settle where the arm is free to move; the others, and the further starts, are for singular places. A UR10
+with 727 coefficients takes 26 us where it is free, and 75 us at the worst."""
 
-FIRST_DAMPING, DAMPING_FACTOR = 1e-7, 5.0
-"""Damping where a step without any does not help, and by how much it rises or falls then: within the steps above both find what
-`compensate` finds with 40 and four further starts (benchmarks/export.py)."""
+RISE, FALL = 10.0, 2.0
+"""By how much damping rises where a step does not help, and falls where it does: within the steps above both find what
+`compensate` finds with 40 and four further starts, to 2 % over the whole range of a UR10 (benchmarks/export.py)."""
+
+NEAR = 1e-6
+"""[m]: a miss below it, rotations counted, needs no further start."""
 
 WIDE = 118
 """Letters in a line of a file."""
@@ -94,7 +97,7 @@ def _header(machine: Machine, digest: str, about: Sequence[str]) -> str:
     fields = fields or ["    double none; /* the model depends on nothing beside the readings */"]
     text = HEADER.replace("{sizes}", "\n".join(sizes)).replace("{conditions}", "\n".join(fields))
     text = text.replace("{no_rotation}", "" if machine.pose else ": NAN, the target's rotation was not measured")
-    return "\n".join(lines) + "\n */\n" + text.replace("{newton}", str(NEWTON_STEPS))
+    return "\n".join(lines) + "\n */\n" + text.replace("{newton}", str(NEWTON_STEPS * STARTS))
 
 
 def _seen(quantity: Quantity) -> str:
@@ -117,10 +120,13 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
         "SLOPES": (len(slopes), "places of steps that change with a reading"),
         "ROWS": (6 if machine.pose else 3, "numbers of a wanted pose, or position"),
         "LEVER": (_number(machine.lever), "m/rad: what an error of a rad counts"),
-        "NEWTON_STEPS": (NEWTON_STEPS, ""),
+        "NEWTON_STEPS": (NEWTON_STEPS, "from each start"),
+        "STARTS": (STARTS, "further ones only where the target is not reached"),
+        "NEAR": (NEAR, "m, rotations counted: no further start"),
         "LARGEST_TURN": (LARGEST_TURN, "rad, in one of them"),
         "FIRST_DAMPING": (FIRST_DAMPING, "where a step without damping does not help"),
-        "DAMPING_FACTOR": (DAMPING_FACTOR, "by which it rises and falls"),
+        "RISE": (RISE, "of the damping, after a step that does not help"),
+        "FALL": (FALL, "after one that does"),
         "TINY": (SINGULAR_DAMPING, "damping that keeps a singular arm's step finite"),
         "REACHED_M": (_number(machine.reached[0]), "m"),
         "REACHED_RAD": (_number(machine.reached[1]), "rad"),
@@ -140,6 +146,7 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
         + "};",
         _array("limit", "[NAME_JOINTS][2]", [f"{{{_number(a)}, {_number(b)}}}" for a, b in machine.limits.tolist()]),
         _array("moves", "[NAME_JOINTS]", [str(int(each)) for each in machine.moves], "int"),
+        _array("kick", "[STARTS][NAME_JOINTS]", _kicks(len(machine.joints))),
         _array("turning", "[NAME_JOINTS]", [str(int(each)) for each in machine.turning], "int"),
         *_ranges(machine),
         *_tables(both),
@@ -291,6 +298,14 @@ def _finite_conditions(machine: Machine) -> str:
     if not checks:
         return "static int finite_conditions(const NAME_conditions *c)\n{\n    (void)c;\n    return 1;\n}"
     return "static int finite_conditions(const NAME_conditions *c)\n{\n" + _line(f"return c && {checks};", "") + "\n}"
+
+
+def _kicks(joints: int) -> list[str]:
+    """How far from the wanted readings each start is: none, then drawn once, so that every run is the same."""
+    drawn = KICK * np.random.default_rng(0).standard_normal((STARTS - 1, joints))
+    return [
+        f"{{{', '.join(_number(round(x, 4)) for x in row)}}}" for row in (np.zeros(joints).tolist(), *drawn.tolist())
+    ]
 
 
 def _ranges(machine: Machine) -> list[str]:

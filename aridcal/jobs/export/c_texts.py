@@ -45,7 +45,8 @@ NAME_status NAME_jacobian(const double q[], const NAME_conditions *c, double J[]
 
 /* Readings q that bring the real target to where the nominal arm has it at the readings `wanted`, near these, within the limits
  * of the joints. error[2], which may be a null pointer: how far it still is from there, m and rad{no_rotation}.
- * It takes the same {newton} steps of Newton's method, whatever comes. `q` may be `wanted`. */
+ * It takes at most {newton} steps of Newton's method, whatever comes. Where the arm is singular or meets a limit, q may lie far from
+ * `wanted`: compare them before you send it. `q` may be `wanted`. */
 NAME_status NAME_correct(const double wanted[], const NAME_conditions *c, double q[], double error[2]);
 
 /* NAME_OK where readings and conditions are among those that were measured, else NAME_OUT_OF_RANGE. */
@@ -374,38 +375,59 @@ static void inside(const double q[], const double J[], const double e[], double 
     }
 }
 
+/* Newton's method from readings `at`, which become the best that were found; miss[] is what is then missed. */
+static double search(const NAME_conditions *c, const NAME_pose *goal, double at[], double miss[2])
+{
+    double e[ROWS], J[ROWS * NAME_JOINTS], damping = 0.0;
+    double square = look(at, c, goal, e, J, miss);
+    for (int n = 0; n < NEWTON_STEPS; n++) {
+        double trial[NAME_JOINTS], e_trial[ROWS], J_trial[ROWS * NAME_JOINTS], miss_trial[2];
+        inside(at, J, e, damping + TINY, trial);
+        const double square_trial = look(trial, c, goal, e_trial, J_trial, miss_trial);
+        if (square_trial < square) {
+            square = square_trial;
+            damping = damping <= FIRST_DAMPING ? 0.0 : damping / FALL;
+            memcpy(at, trial, sizeof trial);
+            memcpy(e, e_trial, sizeof e);
+            memcpy(J, J_trial, sizeof J);
+            memcpy(miss, miss_trial, sizeof miss_trial);
+        } else {
+            damping = damping > 0.0 ? damping * RISE : FIRST_DAMPING;
+        }
+    }
+    return square;
+}
+
 NAME_status NAME_correct(const double wanted[], const NAME_conditions *c, double q[], double error[2])
 {
     NAME_pose goal;
-    double at[NAME_JOINTS], e[ROWS], J[ROWS * NAME_JOINTS], miss[2], damping = 0.0;
+    double start[NAME_JOINTS], best[NAME_JOINTS], miss[2], square = INFINITY;
     if (!finite_readings(wanted) || !finite_conditions(c))
         return NAME_BAD_INPUT;
     NAME_nominal(wanted, &goal);
     for (int k = 0; k < NAME_JOINTS; k++)
-        at[k] = wanted[k] < limit[k][0] ? limit[k][0] : wanted[k] > limit[k][1] ? limit[k][1] : wanted[k];
-    double square = look(at, c, &goal, e, J, miss);
-    for (int n = 0; n < NEWTON_STEPS; n++) {
-        double trial[NAME_JOINTS], e_trial[ROWS], J_trial[ROWS * NAME_JOINTS], miss_trial[2];
-        inside(at, J, e, damping + TINY, trial);
-        const double square_trial = look(trial, c, &goal, e_trial, J_trial, miss_trial);
-        if (square_trial < square) {
-            square = square_trial;
-            damping = damping <= FIRST_DAMPING ? 0.0 : damping / DAMPING_FACTOR;
-            memcpy(at, trial, sizeof at);
-            memcpy(e, e_trial, sizeof e);
-            memcpy(J, J_trial, sizeof J);
-            memcpy(miss, miss_trial, sizeof miss);
-        } else {
-            damping = damping > 0.0 ? damping * DAMPING_FACTOR : FIRST_DAMPING;
+        start[k] = wanted[k] < limit[k][0] ? limit[k][0] : wanted[k] > limit[k][1] ? limit[k][1] : wanted[k];
+    memcpy(best, start, sizeof best);
+    for (int n = 0; n < STARTS && !(square < NEAR * NEAR); n++) {
+        double at[NAME_JOINTS], miss_there[2];
+        for (int k = 0; k < NAME_JOINTS; k++) {
+            const double there = start[k] + (moves[k] ? kick[n][k] : 0.0);
+            at[k] = there < limit[k][0] ? limit[k][0] : there > limit[k][1] ? limit[k][1] : there;
+        }
+        const double square_there = search(c, &goal, at, miss_there);
+        if (square_there < square) {
+            square = square_there;
+            memcpy(best, at, sizeof best);
+            memcpy(miss, miss_there, sizeof miss);
         }
     }
-    memcpy(q, at, sizeof at);
+    memcpy(q, best, sizeof best);
     if (error)
         memcpy(error, miss, sizeof miss);
     if (miss[0] < REACHED_M && (ROWS == 3 || miss[1] < REACHED_RAD))
-        return NAME_in_range(at, c);
+        return NAME_in_range(best, c);
     for (int k = 0; k < NAME_JOINTS; k++)
-        if (moves[k] && (at[k] <= limit[k][0] || at[k] >= limit[k][1]))
+        if (moves[k] && (best[k] <= limit[k][0] || best[k] >= limit[k][1]))
             return NAME_LIMIT;
     return NAME_NOT_REACHED;
 }
