@@ -235,7 +235,7 @@ def test_corrected_joints_bring_the_target_as_near_to_the_nominal_arms_as_compen
 
 
 def test_statuses_tell_limits_from_ranges_and_holes(tmp_path: Path) -> None:
-    saved, exported = ur10(1e-3, tmp_path)
+    _, exported = ur10(1e-3, tmp_path)
     c, q = np.ones(1), np.array([0.1, -1.0, 1.0, 0.3, 0.8, 0.2])
     assert exported.in_range(q, c) == OK == exported.correct(q, c)[0]
     inside_the_hole = q + [0.15, 0, 0, 0, 0, 0]
