@@ -33,8 +33,9 @@ from machines import ADDED, NAMED, Case, draw_case
 from rich.console import Console
 from rich.table import Table
 
-from aridcal.api import identify
+from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.export.c_code import c_files
 from aridcal.jobs.export.machine import Machine, machine
 from aridcal.runs.model_export import predicted_rows
@@ -136,7 +137,7 @@ class Score:
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("results", nargs="*", type=Path, help="result folders")
+    parser.add_argument("results", nargs="*", type=Path, help="result folders, or campaigns")
     parser.add_argument(
         "--shipped", action="store_true", help="identify every campaign of identification/, and export it"
     )
@@ -173,14 +174,14 @@ def main() -> int:
 
 
 def calibrations(arguments: argparse.Namespace) -> Iterator[tuple[str, SavedModel]]:
-    """Results that were named, and those of the shipped campaigns."""
-    for folder in arguments.results:
-        yield str(folder)[-40:], SavedModel.load(folder)
-    for campaign in sorted(HERE.glob("identification/*/campaign*.yaml")) if arguments.shipped else ():
+    """Results that were named, and those of campaigns."""
+    shipped = sorted(HERE.glob("identification/*/campaign*.yaml")) if arguments.shipped else []
+    for path in (*arguments.results, *shipped):
+        name = "/".join(path.parts[-3:])
         try:
-            yield f"{campaign.parent.name} {campaign.stem.removeprefix('campaign')}", identify(campaign).model
+            yield name, calibration(identify(path)) if path.name.startswith("campaign") else SavedModel.load(path)
         except AridcalError as error:
-            print(f"{campaign}: {error}", file=sys.stderr)
+            print(f"{path}: {error}", file=sys.stderr)
 
 
 def blind_cases(count: int, seed: int) -> Iterator[tuple[str, SavedModel]]:
