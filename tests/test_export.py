@@ -11,6 +11,7 @@ import compiled
 import numpy as np
 import pytest
 import robots
+import tree_robot
 from compiled import BAD_INPUT, LIMIT, NOT_REACHED, OK, OUT_OF_RANGE, Export
 from scipy.spatial.transform import Rotation
 from test_one_row import every_effect
@@ -22,7 +23,7 @@ from aridcal.engine.corrections.loads import Payload, Surroundings
 from aridcal.engine.corrections.sights import TARGET, Sights
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.model.model import Model
-from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.chain import Robot, Route, parse_robot, with_limbs
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.export.casadi_function import casadi_function
 from aridcal.jobs.export.machine import machine
@@ -347,3 +348,29 @@ def test_an_export_is_replaced_by_the_next_and_other_files_stay(
     assert sorted(path.name for path in out.iterdir()) == ["CMakeLists.txt", "arm.c", "arm.h", "arm_test.c", "main.c"]
     assert export.main([str(results), "--list"]) == 0
     assert "--c DIR" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("first", ["left_hand", "right_hand"])
+def test_of_several_limbs_the_first_targets_is_exported_with_its_own_path(first: str, tmp_path: Path) -> None:
+    rng, hands = np.random.default_rng(8), ["left_hand", "right_hand"]
+    robot = with_limbs(parse_robot(tree_robot.urdf(), "left_hand", "torso"), ["right_hand"])
+    tip = tuple((hand, robots.random_placement(rng, 0.1)) for hand in sorted(hands, key=lambda hand: hand != first))
+    coefficients = [Coefficient("world_base", c, Basis("ball", TARGET, (0.3, 0.2, 0.3, 2.0))) for c in "xyz"]
+    for side in ("left", "right"):
+        load = Basis("linear", (f"{side}_j4.gravity_torque",), (0.0,))
+        coefficients += [Coefficient(f"{side}_j4", "axis", load), Coefficient(f"{side}_j2", "pitch")]
+    around = Surroundings(sights=Sights(np.array([frame.translation for _, frame in tip])))
+    routes = tuple(Route(None, None if hand == robot.tip else hand) for hand in hands)
+    on = {hand: hand for hand in hands if hand != robot.tip}
+    model = Model(robot, tuple(coefficients), tip_target=tip, around=around, routes=routes, target_on=on)
+    saved = saved_from(model, rng.normal(0.0, 1e-2, len(coefficients)))
+    described = machine(saved)
+    assert first in described.frames
+    rows = predicted_rows(saved, described, 30)
+    module = module_from(numpy_module(described, "0" * 64, ["two arms"]), tmp_path)
+    R, p = module.forward(rows.inputs)
+    np.testing.assert_allclose(R, rows.R, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(p, rows.p, rtol=0, atol=ROUNDING)
+    other = "right" if first == "left_hand" else "left"
+    still = [k for k, name in enumerate(robot.readings) if name.startswith(other)]
+    assert not described.moves[still].any() and described.moves.sum() == 7
