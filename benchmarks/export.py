@@ -271,7 +271,8 @@ def compensated(saved: SavedModel, described: Machine, inputs: np.ndarray) -> fl
     bare = type(model)(model.robot, (), world, tip, model.around, routes=model.routes, target_on=model.target_on)
     q, c = np.split(inputs, [len(described.joints)], axis=1)
     R, p = bare.poses(
-        np.zeros(0), bare.rows(q, None, *(label and np.full(len(q), label) for label in described.frames))
+        np.zeros(0),
+        bare.rows(q, None, *(None if label is None else np.full(len(q), label) for label in described.frames)),
     )
     names = [each.name for each in described.conditions]
     errors = [

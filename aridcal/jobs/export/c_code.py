@@ -151,6 +151,7 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
         *_ranges(machine),
         *_tables(both),
         *_functions(both),
+        *([LEGEND] if any(term.name for term in walk(machine.model.at)) else []),
         _program("places", machine.conditions, {"at": machine.model.at}, _stands(machine.model)),
         _program(
             "places_and_slopes",
@@ -166,6 +167,10 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
     ]
     return "\n\n".join(sections) + "\n"
 
+
+LEGEND = """\
+/* Of the nominal arm, in the base's axes: JOINT_at_x is where a joint is, JOINT_z_x the x of its z axis, JOINT_mass_x the first
+ * moment of all that it carries. A number that has no name of its own is a part. */"""
 
 _STEP = """\
 typedef struct {

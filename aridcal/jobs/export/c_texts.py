@@ -45,8 +45,8 @@ NAME_status NAME_jacobian(const double q[], const NAME_conditions *c, double J[]
 
 /* Readings q that bring the real target to where the nominal arm has it at the readings `wanted`, near these, within the limits
  * of the joints. error[2], which may be a null pointer: how far it still is from there, m and rad{no_rotation}.
- * It takes at most {newton} steps of Newton's method, whatever comes. Where the arm is singular or meets a limit, q may lie far from
- * `wanted`: compare them before you send it. `q` may be `wanted`. */
+ * It takes at most {newton} steps of Newton's method, whatever comes. Where the arm is singular or meets a limit, q may lie far
+ * from `wanted`: compare them before you send it. `q` may be `wanted`. */
 NAME_status NAME_correct(const double wanted[], const NAME_conditions *c, double q[], double error[2]);
 
 /* NAME_OK where readings and conditions are among those that were measured, else NAME_OUT_OF_RANGE. */

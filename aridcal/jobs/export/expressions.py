@@ -297,12 +297,16 @@ def infix(term: Term, of: Sequence[str]) -> str:
         return f"(-{of[0]})"
     operation, (left, right) = term.operation, of
     inner = [each.operation if isinstance(each, Term) else None for each in term.of]
+    negated = isinstance(term.of[1], Term) and len(term.of[1].of) == 1
     if operation in "+-" or inner[0] in ("*", "/"):
         left = bare(left)
     if operation in "+-" and inner[1] in ("*", "/"):
         right = bare(right)
-    if operation in "+-" and inner[1] is None and right.startswith("-"):
-        return f"({left} {'-' if operation == '+' else '+'} {right[1:]})"
+    other = {"+": "-", "-": "+"}.get(operation, "")
+    if other and inner[1] is None and right.startswith("-"):
+        return f"({left} {other} {right[1:]})"
+    if other and right.startswith("(-") and bare(right) != right and negated:
+        return f"({left} {other} {right[2:-1]})"
     return f"({left} {operation} {right})"
 
 
