@@ -374,3 +374,14 @@ def test_of_several_limbs_the_first_targets_is_exported_with_its_own_path(first:
     other = "right" if first == "left_hand" else "left"
     still = [k for k, name in enumerate(robot.readings) if name.startswith(other)]
     assert not described.moves[still].any() and described.moves.sum() == 7
+
+
+def test_a_long_arm_keeps_its_loads_and_leaves_their_slopes_out(tmp_path: Path) -> None:
+    robot = robots.random_robot(3, "R" * 9)
+    sag = [Coefficient(name, "axis", Basis("linear", (f"{name}.gravity_torque",), (0.0,))) for name in robot.names]
+    saved = saved_from(Model(robot, tuple(sag)), np.full(9, 1e-4))
+    described = machine(saved)
+    assert described.loads_held and len(described.slopes) == 9
+    rows = predicted_rows(saved, described, 20)
+    module = module_from(numpy_module(described, "0" * 64, ["a long arm"]), tmp_path)
+    np.testing.assert_allclose(module.forward(rows.inputs)[1], rows.p, rtol=0, atol=ROUNDING)

@@ -128,6 +128,8 @@ def _about(saved: SavedModel, described: Machine, name: str) -> list[str]:
         lines.append(f"Column {column} is taken as {value:.6g}: only causes that are in doubt depend on it.")
     if any(c.basis.form == "step" for c in saved.expected.model.coefficients):
         lines.append("What moved once, between two rows, is where it is now.")
+    if described.loads_held:
+        lines.append("The Jacobian of this long arm leaves the loads on its joints as they are.")
     lines.append("How uncertain a prediction is, `aridcal predict` says; that is not in here.")
     return lines
 

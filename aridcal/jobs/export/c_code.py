@@ -97,7 +97,7 @@ def _header(machine: Machine, digest: str, about: Sequence[str]) -> str:
     fields = fields or ["    double none; /* the model depends on nothing beside the readings */"]
     text = HEADER.replace("{sizes}", "\n".join(sizes)).replace("{conditions}", "\n".join(fields))
     text = text.replace("{no_rotation}", "" if machine.pose else ": NAN, the target's rotation was not measured")
-    return "\n".join(lines) + "\n */\n" + text.replace("{newton}", str(NEWTON_STEPS * STARTS))
+    return "\n".join(lines) + "\n */\n" + text.replace("{newton}", str(NEWTON_STEPS * _starts(machine)))
 
 
 def _seen(quantity: Quantity) -> str:
@@ -113,7 +113,7 @@ def _plain(text: str) -> str:
 
 def _code(machine: Machine, about: Sequence[str]) -> str:
     slopes = [slope for _, _, slope in machine.slopes]
-    both = (*machine.model.at, *slopes)
+    both, starts = (*machine.model.at, *slopes), _starts(machine)
     constants = {
         "STEPS": (len(machine.model.steps), "the robot's joints, and one for each motion of an effect"),
         "NOMINAL_STEPS": (len(machine.nominal.steps), "the robot's joints alone"),
@@ -121,7 +121,7 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
         "ROWS": (6 if machine.pose else 3, "numbers of a wanted pose, or position"),
         "LEVER": (_number(machine.lever), "m/rad: what an error of a rad counts"),
         "NEWTON_STEPS": (NEWTON_STEPS, "from each start"),
-        "STARTS": (STARTS, "further ones only where the target is not reached"),
+        "STARTS": (starts, "further ones only where the target is not reached"),
         "NEAR": (NEAR, "m, rotations counted: no further start"),
         "LARGEST_TURN": (LARGEST_TURN, "rad, in one of them"),
         "FIRST_DAMPING": (FIRST_DAMPING, "where a step without damping does not help"),
@@ -146,7 +146,7 @@ def _code(machine: Machine, about: Sequence[str]) -> str:
         + "};",
         _array("limit", "[NAME_JOINTS][2]", [f"{{{_number(a)}, {_number(b)}}}" for a, b in machine.limits.tolist()]),
         _array("moves", "[NAME_JOINTS]", [str(int(each)) for each in machine.moves], "int"),
-        _array("kick", "[STARTS][NAME_JOINTS]", _kicks(len(machine.joints))),
+        _array("kick", "[STARTS][NAME_JOINTS]", _kicks(starts, len(machine.joints))),
         _array("turning", "[NAME_JOINTS]", [str(int(each)) for each in machine.turning], "int"),
         *_ranges(machine),
         *_tables(both),
@@ -305,9 +305,14 @@ def _finite_conditions(machine: Machine) -> str:
     return "static int finite_conditions(const NAME_conditions *c)\n{\n" + _line(f"return c && {checks};", "") + "\n}"
 
 
-def _kicks(joints: int) -> list[str]:
+def _starts(machine: Machine) -> int:
+    """Starts of a search: an arm that reaches nearly nothing exactly needs no second one."""
+    return 1 if machine.lean else STARTS
+
+
+def _kicks(starts: int, joints: int) -> list[str]:
     """How far from the wanted readings each start is: none, then drawn once, so that every run is the same."""
-    drawn = KICK * np.random.default_rng(0).standard_normal((STARTS - 1, joints))
+    drawn = KICK * np.random.default_rng(0).standard_normal((starts - 1, joints))
     return [
         f"{{{', '.join(_number(round(x, 4)) for x in row)}}}" for row in (np.zeros(joints).tolist(), *drawn.tolist())
     ]

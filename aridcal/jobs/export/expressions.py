@@ -153,21 +153,28 @@ Gradient = Mapping[int, Formula]
 
 
 class Derivatives:
-    """Derivatives of formulas by the readings, each worked out once."""
+    """Derivatives of formulas by the readings, each worked out once.
 
-    def __init__(self) -> None:
+    Args:
+        held: Terms that count as if they did not change.
+    """
+
+    def __init__(self, held: Iterable[Formula] = ()) -> None:
+        self._held = {id(term): term for term in held}
         self._of: dict[int, tuple[Term, Gradient]] = {}
 
     def of(self, formula: Formula) -> Gradient:
         """The derivatives of a formula."""
         if not isinstance(formula, Term):
             return {}
-        for term in walk([formula]):
+        for term in walk([formula], self._held):
             if id(term) not in self._of:
                 self._of[id(term)] = term, self._gradient(term)
         return self._of[id(formula)][1]
 
     def _gradient(self, term: Term) -> Gradient:
+        if id(term) in self._held:
+            return {}
         if term.operation == "reading":
             return {term.index: 1.0}
         outer = [_by_argument(term, k) for k in range(len(term.of))]
@@ -207,8 +214,13 @@ def _by_argument(term: Term, k: int) -> Formula:
             return 0.0
 
 
-def walk(formulas: Iterable[Formula]) -> Iterator[Term]:
-    """All terms of some formulas, each object once, arguments before what is made of them."""
+def walk(formulas: Iterable[Formula], ends: Collection[int] = ()) -> Iterator[Term]:
+    """All terms of some formulas, each object once, arguments before what is made of them.
+
+    Args:
+        formulas: The formulas.
+        ends: Ids of terms whose arguments are left out.
+    """
     done: set[int] = set()
     for formula in formulas:
         open_terms: list[tuple[Term, bool]] = [(formula, False)] if isinstance(formula, Term) else []
@@ -221,7 +233,8 @@ def walk(formulas: Iterable[Formula]) -> Iterator[Term]:
                 yield term
                 continue
             open_terms.append((term, True))
-            open_terms += [(each, False) for each in reversed(term.of) if isinstance(each, Term)]
+            if id(term) not in ends:
+                open_terms += [(each, False) for each in reversed(term.of) if isinstance(each, Term)]
 
 
 class Statement(NamedTuple):

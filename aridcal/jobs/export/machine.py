@@ -35,6 +35,10 @@ from aridcal.jobs.export.identifiers import different, identifier
 from aridcal.jobs.export.nominal_tree import NominalTree, position
 from aridcal.system.errors import AridcalError
 
+MOST_JOINTS = 8
+"""Readings up to which the slopes of loads are written out: each of n loads has n of them. Eight joints with any axes make 210 kB
+of code with them, twelve 410 kB, which compilers take long for; without, the Jacobian is off by what loads change: some 0.1 %."""
+
 Range = tuple[float, float]
 
 
@@ -99,10 +103,12 @@ class Machine:
         moves: Readings that move the target, shape (columns,) bool.
         turning: Readings that turn a joint, shape (columns,) bool.
         pose: False where only the target's position was measured, so that its rotation is not known.
+        lean: True where fewer readings move the target than a wanted pose, or position, has numbers.
         lever: [m/rad]: an error of 1 rad counts as much as one of so many metres where not both can be had.
         reached: What a pose may be missed by and count as reached, [m] and [rad].
         frames: Labels of the frames at the base and at the target; None where there is one for all.
         assumed: Columns that only doubtful causes depend on, and where they are taken to stand.
+        loads_held: True where slopes leave loads as they are, because the arm is long.
         effects: Names of the coefficients that vary, with their values.
     """
 
@@ -115,10 +121,12 @@ class Machine:
     moves: np.ndarray
     turning: np.ndarray
     pose: bool
+    lean: bool
     lever: float
     reached: tuple[float, float]
     frames: tuple[str | None, str | None]
     assumed: Mapping[str, float]
+    loads_held: bool
     effects: tuple[tuple[str, float], ...]
 
 
@@ -136,7 +144,8 @@ def machine(saved: SavedModel) -> Machine:
     world, tip = model.frames(theta)
     bare = replace(model, coefficients=(), world_base=world, tip_target=tip)
     bare_locked = bare.locked(np.zeros(0), *frames)
-    derivatives = Derivatives()
+    loads_held = len(robot.readings) > MOST_JOINTS and bool(symbols.loads)
+    derivatives = Derivatives(symbols.loads if loads_held else ())
     slopes = [(k, j, slope) for k, each in enumerate(chain.at) for j, slope in sorted(derivatives.of(each).items())]
     inverse = saved.inverse_kinematics(*frames)
     lean = int(inverse.model.moves.sum()) < (6 if inverse.pose else 3)
@@ -151,10 +160,12 @@ def machine(saved: SavedModel) -> Machine:
         moves=inverse.model.moves,
         turning=inverse.turning,
         pose=inverse.pose,
+        lean=lean,
         lever=inverse.lever,
         reached=(limits[0], limits[1]),
         frames=frames,
         assumed=symbols.assumed,
+        loads_held=loads_held,
         effects=tuple((model.coefficients[k].name, float(theta[k])) for k in symbols.varying),
     )
 
@@ -226,6 +237,7 @@ class _Symbols:
         self._given: dict[str, Formula] = {name: Term("condition", index=k) for k, name in enumerate(columns)}
         self._given |= {name: value for name, value in self.assumed.items()}
         self._around: Surroundings = around
+        self.loads: list[Formula] = []
         self._cache: dict[str, Formula] = {}
         self._trees: dict[str, NominalTree] = {}
 
@@ -323,7 +335,8 @@ class _Symbols:
             payloads = [(each, self._given[each.name]) for each in self._around.payloads] if hang else []
             load = self._tree(robot).load(joint, kind, self._gravity, payloads)
             unit = "N" if joint.kind == "prismatic" and kind.endswith("torque") else "N m"
-            return named(load, identifier(name), f"{unit}, the arm nominal")
+            self.loads.append(named(load, identifier(name), f"{unit}, the arm nominal"))
+            return self.loads[-1]
         if is_label(name) and self._station is not None:
             return float(label_in(name) == self._station)
         return self._given.get(name, math.inf)  # a step of what nobody gives has been: the machine is as it is now
