@@ -17,13 +17,13 @@ from aridcal.jobs.export.expressions import Formula, Term, bare, infix, statemen
 from aridcal.jobs.export.machine import Chain, Machine, Quantity
 from aridcal.system.errors import printable
 
-NEWTON_STEPS, STARTS = 12, 3
+NEWTON_STEPS, STARTS = 11, 2
 """Work: three steps settle where the arm is free to move; the others, and the further starts, are for singular places. A UR10
-with 727 coefficients takes 26 us where it is free, and 75 us at the worst."""
+with 727 coefficients takes 25 us where it is free, and 48 us at the worst."""
 
 RISE, FALL = 10.0, 2.0
 """By how much damping rises where a step does not help, and falls where it does: within the steps above both find what
-`compensate` finds with 40 and four further starts, to 2 % over the whole range of a UR10 (benchmarks/export.py)."""
+`compensate` finds with 40 and four further starts, to 3 % over the whole range of a UR10, a quarter more beside a straight wrist."""
 
 NEAR = 1e-6
 """[m]: a miss below it, rotations counted, needs no further start."""

@@ -37,7 +37,7 @@ from aridcal.system.errors import AridcalError
 
 MOST_JOINTS = 8
 """Readings up to which the slopes of loads are written out: each of n loads has n of them. Eight joints with any axes make 210 kB
-of code with them, twelve 410 kB, which compilers take long for; without, the Jacobian is off by what loads change: some 0.1 %."""
+of code with them, twelve 410 kB, which compilers take long for."""
 
 Range = tuple[float, float]
 
