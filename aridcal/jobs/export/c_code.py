@@ -23,8 +23,8 @@ with 727 coefficients takes 25 us where it is free, and 48 us at the worst."""
 
 RISE, FALL = 10.0, 2.0
 """By how much damping rises where a step does not help, and falls where it does: within the steps above both find what
-`compensate` finds with 40 and four further starts, to 3 % over the whole range of a UR10; beside a straight wrist they leave a quarter
-more."""
+`compensate` finds with 40 and four further starts, to 3 % over the whole range of a UR10; beside a straight wrist they
+leave a quarter more."""
 
 NEAR = 1e-6
 """[m]: a miss below it, rotations counted, needs no further start."""
