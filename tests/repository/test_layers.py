@@ -38,6 +38,7 @@ STRANGERS = [{"engine.fit", "jobs.head1992"}, {"pages.report", "jobs.prepare"}, 
 """Rooms that never meet."""
 
 KEPT_TO = {
+    "casadi": ("aridcal.jobs.export.casadi_function",),
     "duckdb": ("aridcal.jobs.history.store",),
     "dask": ("aridcal.jobs.fleet.cluster",),
     "distributed": ("aridcal.jobs.fleet.cluster",),

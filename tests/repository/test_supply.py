@@ -22,11 +22,12 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 NEEDED = [Requirement(line) for line in PROJECT["dependencies"]]
 EXTRAS = {
     extra: [r for r in map(Requirement, PROJECT["optional-dependencies"][extra]) if r.name != PROJECT["name"]]
-    for extra in ("fleet", "ros", "xacro", "dev")
+    for extra in ("export", "fleet", "ros", "xacro", "dev")
 }
 """What is installed on request; developers have all of it."""
 
 ON_REQUEST = {
+    "casadi": ("export", "jobs/export/casadi_function.py"),
     "dask": ("fleet", "jobs/fleet/cluster.py"),
     "distributed": ("fleet", "jobs/fleet/cluster.py"),
     "duckdb": ("fleet", "jobs/history/store.py"),

@@ -38,7 +38,7 @@ class _Term:
 
 
 @dataclass(frozen=True)
-class _Curve:
+class Curve:
     """Splines of one covariate on evenly spaced knots, summed: a cubic polynomial between each knot and the next.
 
     Attributes:
@@ -131,7 +131,7 @@ class OneRowModel:
         self._covariates = len(names)
         self.needs = needs(robot, (model.coefficients[k].basis for k in free), around)
 
-    def _take_curves(self, bases: dict[int, Basis], theta: np.ndarray, place: Mapping[str, int]) -> list[_Curve]:
+    def _take_curves(self, bases: dict[int, Basis], theta: np.ndarray, place: Mapping[str, int]) -> list[Curve]:
         """Sum the splines that stand on the same evenly spaced knots, and take them out of the bases."""
         families: dict[tuple[int, int, float], list[int]] = {}
         for k, basis in bases.items():
@@ -141,8 +141,8 @@ class OneRowModel:
         curves = []
         for (joint, of, step), members in families.items():
             centres = np.array([bases[k].numbers[0] for k in members])
-            if _even(centres, step):
-                curves.append(_curve(joint, of, centres, step, theta[members]))
+            if evenly_spaced(centres, step):
+                curves.append(curve_of(joint, of, centres, step, theta[members]))
                 for k in members:
                     del bases[k]
         return curves
@@ -225,13 +225,13 @@ def _absent(bases: Iterable[Basis]) -> dict[str, float]:
     return {name: value for name, value in absent if value is not None and name not in needed}
 
 
-def _even(centres: np.ndarray, step: float) -> bool:
+def evenly_spaced(centres: np.ndarray, step: float) -> bool:
     """True if the centres stand a whole number of steps apart, to the digits that files keep of them."""
     steps = (centres - centres.min()) / step
     return bool(np.abs(steps - np.round(steps)).max() < 1e-6)
 
 
-def _curve(joint: int, of: int, centres: np.ndarray, step: float, theta: np.ndarray) -> _Curve:
+def curve_of(joint: int, of: int, centres: np.ndarray, step: float, theta: np.ndarray) -> Curve:
     """The sum of B-splines as cubic pieces, from two knots before the first centre to two behind the last."""
     start = float(centres.min()) - 2.0 * step
     count = round(float(np.ptp(centres)) / step) + 4
@@ -240,7 +240,7 @@ def _curve(joint: int, of: int, centres: np.ndarray, step: float, theta: np.ndar
     values = FORMS["bump"].value([z[:, :, None]], (centres, step)) @ theta
     powers = np.vander(u, increasing=True)
     pieces = np.linalg.solve(powers, values.T).T
-    return _Curve(joint, of, start, step, pieces.tolist())
+    return Curve(joint, of, start, step, pieces.tolist())
 
 
 def _at(label: str | None, frames: LabelledFrames, values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,109 @@
+"""Write a calibration as code that runs where the robot runs: the whole model, without aridcal.
+
+`--c DIR` writes C99 that needs nothing but the mathematical library, allocates nothing and keeps no state: NAME.h, NAME.c,
+NAME_test.c, which compares it with 1,000 rows of `predict`, and CMakeLists.txt. NAME is the folder's name, or `--name`.
+NAME_forward says where the target is, NAME_correct which joints bring the real target to where the nominal arm would have it,
+NAME_jacobian how it moves, NAME_in_range whether that was measured. `--numpy FILE.py` writes a module that imports NumPy alone,
+`--casadi FILE.casadi` a function for optimal control (`pip install "aridcal[export]"`). What an effect depends on beside the
+joints, a temperature or a side of approach, is an argument. Where frames are per station, the first station's are taken.
+`--list` says what can be had, and which error remains.
+
+Example:
+    aridcal export results --list
+    aridcal export results --c my_arm && cmake -S my_arm -B build && cmake --build build && ctest --test-dir build
+    aridcal export results --numpy my_arm.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
+from aridcal.jobs.calibrate.saved_model import calibration_file
+from aridcal.jobs.export.machine import Machine
+from aridcal.jobs.export.receivers import HOLDS, RECEIVERS, remaining
+from aridcal.runs.model_export import export_c, export_casadi, export_numpy
+from aridcal.system.errors import OutputError
+from aridcal.system.progress import Screen
+from aridcal.system.reading.user_names import path_argument
+
+
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("export", __doc__)
+    arguments.add_argument(
+        "calibration", type=path_argument, metavar="RESULTS", help="result folder, or calibration.yaml"
+    )
+    arguments.add_argument("--list", action="store_true", help="say who can be given what, and the error that remains")
+    arguments.add_argument("--c", type=path_argument, metavar="DIR", help="write C99 into this folder")
+    arguments.add_argument("--name", help="with --c: what all names begin with (default: the folder's name)")
+    arguments.add_argument("--numpy", type=path_argument, metavar="FILE.py", help="write a Python module")
+    arguments.add_argument("--casadi", type=path_argument, metavar="FILE.casadi", help="write a function of CasADi")
+    for_scripts(arguments)
+    return arguments
+
+
+def _main(arguments: argparse.Namespace) -> None:
+    console, _ = screens(arguments)
+    if not (arguments.list or arguments.c or arguments.numpy or arguments.casadi):
+        raise OutputError(
+            "say what to write: `--c DIR`, `--numpy FILE.py` or `--casadi FILE.casadi`; `--list` has them all"
+        )
+    if arguments.name is not None and not arguments.c:
+        raise OutputError("--name is of --c DIR: give that, too")
+    if arguments.numpy and arguments.numpy.suffix != ".py":
+        raise OutputError(f"{arguments.numpy}: should be a .py file")
+    if arguments.casadi and arguments.casadi.suffix != ".casadi":
+        raise OutputError(f"{arguments.casadi}: should be a .casadi file")
+    path = calibration_file(arguments.calibration)
+    if arguments.list:
+        _list(console, path, arguments.calibration)
+    if arguments.c:
+        described, name = export_c(path, arguments.c, arguments.name)
+        console.say(f"{arguments.c}: {name}.h, {name}.c, {name}_test.c, CMakeLists.txt", *_lines(described))
+    if arguments.numpy:
+        console.say(f"{arguments.numpy}: forward(q, conditions)", *_lines(export_numpy(path, arguments.numpy)))
+    if arguments.casadi:
+        console.say(f"{arguments.casadi}: forward(q, conditions)", *_lines(export_casadi(path, arguments.casadi)))
+
+
+def _lines(described: Machine) -> list[str]:
+    """What whoever calls it must know."""
+    lines = ["  q: " + ", ".join(f"{each.name} [{each.unit}]" for each in described.joints)]
+    lines += [f"  condition {each.name}: {each.unit}" for each in described.conditions]
+    if described.frames != (None, None):
+        named = " and ".join(repr(label) for label in described.frames if label is not None)
+        lines.append(f"  of several frames those of {named}")
+    if not described.pose:
+        lines.append("  positions alone: the target's rotation was not measured")
+    lines += [f"  {name} is taken as {value:.6g}" for name, value in described.assumed.items()]
+    return lines
+
+
+def _list(console: Screen, path: Path, named: Path) -> None:
+    """Print the table of receivers."""
+    result = _result(path)
+    for receiver in RECEIVERS:
+        console.say(
+            f"{receiver.who}: {HOLDS[receiver.holds]}, {remaining(receiver, result)}",
+            f"    aridcal export {shlex.quote(str(named))} {receiver.option}",
+        )
+
+
+def _result(path: Path) -> dict[str, Any] | None:
+    """What `result.json` beside a calibration holds; None if there is none to be read."""
+    try:
+        return dict(json.loads((path.parent / "result.json").read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+main = command(parser, _main)
+
+if __name__ == "__main__":
+    sys.exit(main())
