@@ -217,6 +217,7 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         check_apart((out / name for name in RESULT_FILES), inputs)
         job = read_job(campaign, arguments.seed, progress, out / CACHE, arguments.verify is not None)
         # Loaded only now, here and above: what fits, searches and draws takes longer to load than a slip in a table to be found.
+        from aridcal.jobs.calibrate.hand_eye_files import FOLDER
         from aridcal.jobs.calibrate.pipeline import identify
         from aridcal.jobs.prepare.other_readings import refuse_misread
 
@@ -230,6 +231,8 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         soft_wrap=True,
         markup=False,
     )
+    for camera in () if handover.hand_eye is None else handover.hand_eye.places:
+        console.print(f"camera {camera.name} on {camera.parent}: {camera.in_words}", soft_wrap=True, markup=False)
     for notice in written.notices[:MOST_NOTICES]:
         console.print(f"note: {notice}", markup=False, soft_wrap=True)
     if len(written.notices) > MOST_NOTICES:
@@ -237,6 +240,8 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
     console.say(f"report: {out / 'report.html'}")
     if (out / "certificate.pdf").is_file():
         console.say(f"certificate: {out / 'certificate.pdf'}")
+    if handover.hand_eye is not None:
+        console.say(f"cameras, to paste: {out / FOLDER}")
     console.say(*_next(out, outcome, handover))
     print_headline(arguments, _headline(out, outcome))
     return DONE if _good(outcome) else NOT_GOOD

@@ -9,6 +9,7 @@ from textwrap import indent
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import yaml
 
 from aridcal.engine.corrections.basis import evaluate
@@ -24,6 +25,8 @@ from aridcal.engine.robot.chain import Robot, same_chain
 from aridcal.engine.robot.dh import DHTable, doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
 from aridcal.engine.rows.dataset import Dataset, with_sigma
 from aridcal.engine.trust.regions import Region, Regions, regions
+from aridcal.jobs.calibrate.hand_eye import HandEye, camera_frames, carrier, hand_eye
+from aridcal.jobs.calibrate.hand_eye_files import write_hand_eye
 from aridcal.jobs.calibrate.key_figures import judged_channels, scored
 from aridcal.jobs.calibrate.outcome import Outcome, leading
 from aridcal.jobs.calibrate.urdf_files import write_urdf
@@ -54,6 +57,7 @@ class Export:
             positions.
         apart: RMS distance of its predictions from the full model's on the same rows, [m].
         model: Model of the export, with the two frames fitted to it.
+        cameras: Where its cameras are, each in the frame of what carries it.
     """
 
     name: str
@@ -61,6 +65,7 @@ class Export:
     error: float
     apart: float
     model: Model = field(repr=False)
+    cameras: dict[str, pin.SE3] = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,7 @@ class ControllerExports:
         with_maps: The fit whose constants go with the maps; None where no joint has a curve.
         calibrated: The chain of ``calibrated.urdf``.
         regions: Constants of each region, where some deviate from the one model; else None.
+        hand_eye: Where the cameras are; None where no row is of one.
     """
 
     exports: tuple[Export, ...]
@@ -87,6 +93,7 @@ class ControllerExports:
     with_maps: Fit | None
     calibrated: Robot
     regions: Regions | None = None
+    hand_eye: HandEye | None = None
 
     def summary(self) -> str:
         """One line: ``nominal 1.73 mm, URDF alone 0.65, full model 0.16``."""
@@ -106,14 +113,14 @@ def controller_exports(outcome: Outcome) -> ControllerExports:
     part = columns(m.channels)[first]
 
     def export(name: str, files: tuple[str, ...], stage_fit: Fit, of_regions: Regions | None = None) -> Export:
-        stage_fit = recentred(stage_fit)
+        cameras, stage_fit = camera_frames(stage_fit), recentred(stage_fit)
         residual = (
             problem(stage_fit.model, m).residual(stage_fit.theta) if of_regions is None else of_regions.residual(m)
         )[judging]
         apart = residual - final.residual[judging]
         if not m.direct:
             apart = (_predicted(stage_fit, m) - outcome.at_target.places)[judging]
-        return Export(name, files, _rms(residual[:, part]), _rms(apart[:, :3]), stage_fit.model)
+        return Export(name, files, _rms(residual[:, part]), _rms(apart[:, :3]), stage_fit.model, cameras)
 
     offsets = _offsets(outcome)
     with_maps = _with_maps(outcome)
@@ -141,6 +148,7 @@ def controller_exports(outcome: Outcome) -> ControllerExports:
         with_maps=with_maps,
         calibrated=same_chain(robot, stage_urdf(outcome.stage("geometric").fit)),
         regions=of_regions,
+        hand_eye=hand_eye(outcome),
     )
 
 
@@ -167,8 +175,12 @@ def write_controllers(outcome: Outcome, handover: ControllerExports, folder: Pat
         "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
         *([f"Of {', '.join(absorbed)}: none, the base or the target takes it up."] if absorbed else []),
     )  # fmt: skip
-    frames = {e.name: _frames(e.model) for e in handover.exports}
+    frames: dict[str, Any] = {e.name: _frames(e.model) | _of_cameras(outcome, e.cameras) for e in handover.exports}
     note = "# Where the base stands in the world and the target on the tip, for each export [m, rad].\n"
+    if handover.hand_eye is not None:
+        note += "# `cameras`: where each is on what carries it, z along its line of sight; `hand eye` from all rows, as in hand_eye/.\n"
+        frames["hand eye"] = _of_cameras(outcome, {c.name: c.placement for c in handover.hand_eye.places})
+        write_hand_eye(handover.hand_eye, robot.base, robot.tip, folder)
     (folder / "frames.yaml").write_text(note + yaml.safe_dump(frames, sort_keys=False, width=200), encoding="utf-8")
     if handover.regions is not None:
         (folder / INDEX).parent.mkdir()
@@ -290,6 +302,12 @@ def _frames(model: Model) -> dict[str, dict[str, list[float]]]:
         for where, frames in (("world_base", model.world_base), ("tip_target", model.tip_target))
         for label, placement in frames
     }
+
+
+def _of_cameras(outcome: Outcome, cameras: dict[str, pin.SE3]) -> dict[str, Any]:
+    """Where cameras are, by name, with what carries each; empty without cameras."""
+    places = {name: {"on": carrier(outcome, name)[0], **xyz_rpy(at)} for name, at in cameras.items()}
+    return {"cameras": places} if places else {}
 
 
 def _rms(vectors: np.ndarray) -> float:
