@@ -110,12 +110,13 @@ def _joint(place: CameraPlace, parent: str, prefix: str) -> str:
 def _xacro(place: CameraPlace, known: str) -> str:
     """A macro that adds the camera's frame to a robot; its name is the camera's as an identifier."""
     name, prefix = _plain(place.name).replace("-", "_"), "${prefix}"
+    parameters = f"prefix:='' parent:='{place.parent}'"
     body = f"<link name={quoteattr(prefix + _frame(place))}/>\n{_joint(place, '${parent}', prefix)}"
     return (
         '<?xml version="1.0"?>\n'
         f"<!-- {known.replace('--', '- -')} -->\n"
         f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro">\n'
-        f"  <xacro:macro name={quoteattr(name)} params={quoteattr(f'prefix:= parent:={place.parent}')}>\n"
+        f"  <xacro:macro name={quoteattr(name)} params={quoteattr(parameters)}>\n"
         f"{indent(body, '    ')}\n"
         "  </xacro:macro>\n"
         "</robot>\n"
