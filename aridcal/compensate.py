@@ -62,7 +62,7 @@ from aridcal.system.progress import SHOWN_REMARKS, Screen, told_on
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.apart import check_apart
 from aridcal.system.writing.table_writer import ENDINGS, table_file, write_table
-from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
+from aridcal.system.writing.whole_files import atomic_file, claimed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -152,7 +152,6 @@ def _main(arguments: argparse.Namespace) -> None:
         raise OutputError("--frames, --at, --start and --zeros are for robot programs: a table has its own columns")
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_home(arguments.out)
     check_apart([arguments.out], [arguments.calibration, *arguments.poses])
     with claimed(arguments.out, "file"):
         _compensate(arguments)

@@ -36,7 +36,7 @@ from aridcal.system.progress import SHOWN_REMARKS, Screen, told_on
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.apart import check_apart
 from aridcal.system.writing.table_writer import ENDINGS, table_file
-from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
+from aridcal.system.writing.whole_files import atomic_file, claimed
 
 
 def parser() -> CommandParser:
@@ -58,7 +58,6 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_home(arguments.out)
     check_apart([arguments.out], [arguments.calibration, arguments.query])
     with claimed(arguments.out, "file"):
         _predict(arguments)

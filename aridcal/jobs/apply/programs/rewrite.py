@@ -32,7 +32,7 @@ from aridcal.system.reading.freed import give_back
 from aridcal.system.reading.regular_files import CALIBRATION, read_file
 from aridcal.system.writing.apart import check_apart
 from aridcal.system.writing.table_writer import write_csv
-from aridcal.system.writing.whole_files import atomic_file, atomic_folder, check_home, claimed
+from aridcal.system.writing.whole_files import atomic_file, atomic_folder, claimed
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,6 @@ def _outputs(request: Request, opened: Opened) -> Outputs:
     if not single and language_of(out) is not None:
         raise OutputError(f"{out}: should be a folder: {len(opened.names)} programs are to be written")
     if single and out.suffix:
-        check_home(out)
         outputs = Outputs((out,), out.with_name(f"{out.name}{SIDE}"), None)
     else:
         _check_outside(out, request.programs)
