@@ -7,7 +7,10 @@ held-out rows leave beyond it and beyond the instrument's declared noise. All fi
 Where rows are too few to judge the model by (verdict not_enough_data), the screen and the report begin with that: not for a
 controller. No tolerance is kept then.
 
-Exit status: 0 done, 3 not within the tolerance.
+With --verify, a table of another day has a verdict of its own: agrees, remounted (target or instrument stand elsewhere: fit the
+frames anew), or changed (the robot itself: measure it again).
+
+Exit status: 0 done, 3 not within the tolerance, or not what another day's table says.
 
 Example:
     aridcal identify identification/arid/campaign.yaml
@@ -86,12 +89,12 @@ def summary(outcome: Outcome, console: Console) -> None:
         console.print(_effect_line(outcome, effect) + (f": {moved}" if moved else ""), markup=False)
     if outcome.diagnosis is not None and outcome.diagnosis.tested:
         console.print(f"{outcome.diagnosis.tested:,} candidates tested", markup=False)
-    if outcome.verification is not None:
+    verified = another_day(outcome)
+    if outcome.verification is not None and verified is not None:
         for line in _verification_lines(outcome.verification):
             console.print(line, markup=False)
-    verified = another_day(outcome)
-    if verified is not None:
         console.print(verified[1], markup=False)
+        console.print(f"verdict on {shortened(outcome.verification.file)}: {verified[0]}", markup=False)
     console.print(_noise_line(outcome), markup=False)
     for line in scale_in_words(outcome):
         console.print(line, markup=False)
@@ -248,7 +251,12 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
 
 
 def _good(outcome: Outcome) -> bool:
-    """False where a tolerance is not kept, or nobody can say so as there are too few data."""
+    """False where another day disagrees, a tolerance is not kept, or nobody can say so as there are too few data."""
+    from aridcal.jobs.calibrate.key_figures import another_day  # as above
+
+    day = another_day(outcome)
+    if day is not None and day[0] != "agrees":
+        return False
     if outcome.campaign.tolerance is not None and not outcome.verdict.for_controller:
         return False
     return outcome.certainty is None or outcome.certainty.within
@@ -269,17 +277,19 @@ def _next(out: Path, outcome: Outcome, handover: ControllerExports) -> list[str]
 
 def _headline(out: Path, outcome: Outcome) -> dict[str, Any]:
     """What `--json` prints: keys of `result.json`, the error on the rows that judge, and where the pages are."""
-    from aridcal.jobs.calibrate.key_figures import scored  # as above
+    from aridcal.jobs.calibrate.key_figures import another_day, scored  # as above
 
     document = json.loads(read_file(out / "result.json", OutputError, RESULT))
     scored_rows, rows = scored(outcome)
     part = next(name for name, mask in outcome.parts().items() if np.array_equal(mask, scored_rows))
     keys = ("verdict", "reasons", "effects", "workspace", "notices")
+    day = another_day(outcome)
     return {
         "format": document["format"],
         "rows": f"{scored_rows.sum()} {rows}",
         "error": {stage: parts[part] for stage, parts in document["error"].items()},
         **{key: document[key] for key in keys if key in document},
+        **({} if day is None else {"another_day": day[0]}),
         **{page: str(out / page) for page in ("report.html", "certificate.pdf") if (out / page).is_file()},
     }
 

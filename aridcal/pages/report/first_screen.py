@@ -116,8 +116,8 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     yield tag("div", cards, _other_day(outcome), class_="cards")
     for good, words in kept_in_words(outcome, asked=True):
         yield tag("p", tag("strong", words), class_="good" if good else "look")
-    other_day = another_day(outcome)  # has a card of its own
-    checked = [_check(good, words) for good, words in checks(outcome) if (good, words) != other_day]
+    _, other_day = another_day(outcome) or ("", "")  # has a card of its own
+    checked = [_check(good, words) for good, words in checks(outcome) if words != other_day]
     yield tag(
         "div",
         tag("div", tag("h2", "Main corrections"), list(_causes(outcome))),
@@ -196,8 +196,8 @@ def _other_day(outcome: Outcome) -> Content:
         errors(verification.residuals[name], ~verification.outlier, rows.channels)[channel.key]["rms"]
         for name in ("nominal", "final")
     )
-    good, sentence = said
-    below = tag("p", tag("strong", sentence), class_="good" if good else "look")
+    word, sentence = said
+    below = tag("p", tag("strong", sentence), class_="good" if word == "agrees" else "look")
     noun = f"{channel.noun} on another day"
     days = ("before calibration, that day's rows", before), ("after calibration, that day's rows", after)
     return card(noun, channel.shown, *days, "before → after calibration, on the rows given with --verify.", below)
@@ -350,7 +350,7 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
         yield sigma < error, f"The target is known to ± {number(sigma, 2)} mm (1σ in its worst direction).{more}"
     verified = another_day(outcome)
     if verified is not None:
-        yield verified
+        yield verified[0] == "agrees", verified[1]
     narrow = [j.name for j in narrow_joints(outcome)]
     if narrow:
         rest = len(narrow) - MOST_NAMES
