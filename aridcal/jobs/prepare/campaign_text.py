@@ -23,6 +23,7 @@ from aridcal.files.yaml_file import parse_settings
 from aridcal.jobs.prepare.camera_side import best_side
 from aridcal.jobs.prepare.dialects import best_dialect, dialects_of, say_table
 from aridcal.jobs.prepare.guesses import Asker, Choose, Guess, Proposal
+from aridcal.jobs.prepare.mended import mended
 from aridcal.jobs.prepare.propose import QUESTIONS, propose
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import Dialect
@@ -108,6 +109,10 @@ def draft(
 
     proposal = best_side(proposal, tried)
     campaign, rows = tried(proposal)
+    chosen = mended(proposal, campaign, rows, asker)
+    if chosen is not proposal:
+        proposal = chosen
+        campaign, rows = tried(proposal)
     return Draft(campaign, proposal, rows)
 
 
