@@ -43,6 +43,8 @@ LABEL_NOTE = (
     "A region's URDF holds for rows whose `station` is its `label`; that of an empty label, the one model, for all others. All",
     "go with the two frames of `URDF by region` in frames.yaml.",
 )
+OFFSETS = "joint offsets alone"
+LEAST_GAIN = 1e-3  # share of the error below which three digits show no difference
 HELD_PRECISION = 1e12  # precision of a coefficient that is held, in units of the noise's own
 
 
@@ -73,7 +75,7 @@ class ControllerExports:
     """All exports of a calibration.
 
     Attributes:
-        exports: The least complete first, the full model last.
+        exports: The least complete first, the full model last; joint offsets and maps only where they gain anything.
         rows: The rows that score them, ``60 held-out rows`` for instance.
         channel: The channel of the error.
         offsets: Joint-zero offsets alone: readings' corrections by name, [rad] or [m]; those that the frames take up
@@ -125,14 +127,14 @@ def controller_exports(outcome: Outcome) -> ControllerExports:
     offsets = _offsets(outcome)
     with_maps = _with_maps(outcome)
     urdf = ("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml")
-    exports = [
-        export("nominal", (), outcome.stage("nominal").fit),
-        export("joint offsets alone", ("joint_offsets.yaml",), offsets),
-        export("URDF alone", ("calibrated.urdf", *urdf), outcome.stage("geometric").fit),
-    ]
+    nominal = export("nominal", (), outcome.stage("nominal").fit)
+    zeros_alone = export(OFFSETS, ("joint_offsets.yaml",), offsets)
+    constants = export("URDF alone", ("calibrated.urdf", *urdf), outcome.stage("geometric").fit)
+    exports = [nominal, *([zeros_alone] if _gains(zeros_alone, nominal) else []), constants]
     if with_maps is not None:
-        files = ("joint_maps.urdf", "joint_maps.csv")
-        exports.append(export("+ joint maps", files, with_maps))
+        maps = export("+ joint maps", ("joint_maps.urdf", "joint_maps.csv"), with_maps)
+        with_maps = with_maps if _gains(maps, constants) else None
+        exports += [maps] if with_maps is not None else []
     of_regions = by_region(outcome)
     if of_regions is not None:
         exports.append(export(BY_REGION, (INDEX,), final.fit, of_regions))
@@ -150,6 +152,11 @@ def controller_exports(outcome: Outcome) -> ControllerExports:
         regions=of_regions,
         hand_eye=hand_eye(outcome),
     )
+
+
+def _gains(export: Export, before: Export) -> bool:
+    """True of an export that leaves less than one that asks less of a controller: in digits that are shown."""
+    return export.error < (1.0 - LEAST_GAIN) * before.error
 
 
 def by_region(outcome: Outcome) -> Regions | None:
@@ -170,11 +177,12 @@ def write_controllers(outcome: Outcome, handover: ControllerExports, folder: Pat
         write(name, table.text, "URDF alone", *table.notes)
     text = yaml.safe_dump({"joint_offsets": handover.offsets}, sort_keys=False)
     absorbed = [name for name in robot.readings if name not in handover.offsets]
-    write(
-        "joint_offsets.yaml", text, "joint offsets alone",
-        "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
-        *([f"Of {', '.join(absorbed)}: none, the base or the target takes it up."] if absorbed else []),
-    )  # fmt: skip
+    if any(export.name == OFFSETS for export in handover.exports):
+        write(
+            "joint_offsets.yaml", text, OFFSETS,
+            "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
+            *([f"Of {', '.join(absorbed)}: none, the base or the target takes it up."] if absorbed else []),
+        )  # fmt: skip
     frames: dict[str, Any] = {e.name: _frames(e.model) | _of_cameras(outcome, e.cameras) for e in handover.exports}
     note = "# Where the base stands in the world and the target on the tip, for each export [m, rad].\n"
     if handover.hand_eye is not None:

@@ -72,7 +72,7 @@ LINKED = {
 NOT_READY = {"calibrated.urdf": "not for a controller", "calibration.yaml": "the whole model"}
 """What these files are for where there are too few data."""
 
-GIVEN = {"nominal": "as built", "geometric": "with the URDF", "final": "with compensation"}
+GIVEN = {"nominal": "as designed", "geometric": "with the URDF", "final": "with compensation"}
 """Models by what a customer is given of them."""
 
 OF_THE_TARGET = ("position", "rotation")

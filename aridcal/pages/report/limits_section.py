@@ -146,7 +146,7 @@ def _error(handover: ControllerExports, export: Export) -> str:
 def _files(handover: ControllerExports, effects: bool, beside: Collection[str]) -> Markup:
     """The files of the result folder."""
     error = {file: _error(handover, export) for export in handover.exports for file in export.files}
-    predict = tag("code", "python -m aridcal.predict calibration.yaml query.csv -o predicted.csv")
+    predict = tag("code", "aridcal predict calibration.yaml query.csv -o predicted.csv")
     lines: list[list[Content]] = [
         [
             "calibrated.urdf",
