@@ -284,10 +284,11 @@ def _report(totals: CommandTotals, calibration: SavedModel, out: Path, console: 
             "these are joints to be reported by the controller, as in the calibration: to get the commands, add to each "
             "the difference between commanded and reported joint"
         )
+    remarks = calibration.measurements.table.remarks_on(out)
     sentence = f"{out}: {totals.rows} rows, {totals.reached} reached"
     sentence += f", {totals.missed} out of reach" if totals.missed else ""
     sentence += f", {totals.bare} without a command because a number is missing" if totals.bare else ""
-    console.say(*lines, f"{sentence}; {totals.unlike} of them unlike what was measured")
+    console.say(*lines, f"{sentence}; {totals.unlike} of them unlike what was measured", *remarks)
 
 
 if __name__ == "__main__":

@@ -78,7 +78,7 @@ def _predict(arguments: argparse.Namespace) -> None:
             write(table)
             totals.add(query, table)
             progress.share(stretch.share(len(table)))
-    _report(totals, arguments.out, aside)
+    _report(totals, calibration, arguments.out, aside)
 
 
 @dataclass
@@ -111,13 +111,13 @@ class PredictionTotals:
         self.remarks.add(query)
 
 
-def _report(totals: PredictionTotals, out: Path, console: Screen) -> None:
+def _report(totals: PredictionTotals, calibration: SavedModel, out: Path, console: Screen) -> None:
     """Print remarks and totals."""
     console.say(*totals.remarks.lines())
     sentence = f"{out}: {totals.rows} rows, {totals.unlike} of them unlike what was measured"
     sentence += f", {totals.untold} where no reading told a part of what moves the target" if totals.untold else ""
     sentence += f", {totals.bare} without a pose because a number is missing" if totals.bare else ""
-    console.say(sentence)
+    console.say(sentence, *calibration.measurements.table.remarks_on(out))
 
 
 main = command(parser, _main)

@@ -33,7 +33,7 @@ from peers import TOP, environment
 from rich.console import Console
 from rich.table import Table
 
-from aridcal.engine.corrections.effect import ANGULAR, Coefficient
+from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.instruments.camera import project
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, load_robot
@@ -144,7 +144,9 @@ def our_place(draw: Draw, folder: Path) -> tuple[pin.SE3, np.ndarray]:
     table[["u", "v"]] = draw.pixels.reshape(-1, 2)
     table["shot"] = np.repeat(np.arange(1, len(draw.readings) + 1), len(CORNERS))
     table.to_csv(folder / "corners.csv", index=False, float_format="%.6f")
-    pd.DataFrame({"marker": labels, **dict(zip("xyz", CORNERS.T, strict=True))}).to_csv(folder / "markers.csv", index=False)
+    pd.DataFrame({"marker": labels, **dict(zip("xyz", CORNERS.T, strict=True))}).to_csv(
+        folder / "markers.csv", index=False
+    )
     fx, fy, cx, cy, *distortion = LENS.tolist()
     (folder / "camera.yaml").write_text(
         f"format: 1\ncameras:\n  eye: {{fx: {fx}, fy: {fy}, cx: {cx}, cy: {cy}, width: {SIZE[0]}, height: {SIZE[1]}, "
@@ -170,7 +172,19 @@ def main() -> None:
     arguments = parser.parse_args()
     robot = load_robot(URDF, "tool0")
     table = Table(title=f"medians of {arguments.draws} draws", title_justify="left")
-    heads = ("arm", "images", "ours, mm", "mrad", "best method, mm", "mrad", "ratio", "rotation", "to luckiest", "rotation", "sigma")
+    heads = (
+        "arm",
+        "images",
+        "ours, mm",
+        "mrad",
+        "best method, mm",
+        "mrad",
+        "ratio",
+        "rotation",
+        "to luckiest",
+        "rotation",
+        "sigma",
+    )
     for head in heads:
         table.add_column(head, justify="right")
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}

@@ -54,7 +54,9 @@ PINNED = {
     "figaroh": ("figaroh==1.0.2", "pin==4.1.0", "ndcurves==2.3.0", "numpy==2.4.6", "scipy==1.17.1", "pandas==3.1.1"),
     "pybotics": ("pybotics==3.1.2", "numpy==1.26.4", "scipy==1.17.1"),
 }  # fmt: skip
-HAND_EYE = {"opencv": ("opencv-python-headless==4.12.0.88", "numpy==2.2.6")}  # of hand_eye.py: version 5 has no such methods
+HAND_EYE = {
+    "opencv": ("opencv-python-headless==4.12.0.88", "numpy==2.2.6")
+}  # of hand_eye.py: version 5 has no such methods
 ENVIRONMENTS = TOP / "build" / "peers"
 NOISE, WRONG = 1e-4, 1e-3  # per axis; standard deviation of every constant, [m] and [rad]
 HELD = 1000  # rows of a simulation that no tool is shown

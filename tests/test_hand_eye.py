@@ -25,7 +25,15 @@ from aridcal.jobs.simulate.simulation import simulate, write_campaign
 from aridcal.system.reading.regular_files import URDF
 
 WEBCAM = Path(__file__).resolve().parent.parent / "identification" / "webcam"
-LENS = {"fx": 900.0, "fy": 900.0, "cx": 640.0, "cy": 360.0, "width": 1280, "height": 720, "distortion": [-0.12, 0.05, 0, 0, 0]}
+LENS = {
+    "fx": 900.0,
+    "fy": 900.0,
+    "cx": 640.0,
+    "cy": 360.0,
+    "width": 1280,
+    "height": 720,
+    "distortion": [-0.12, 0.05, 0, 0, 0],
+}
 IN_HAND = {"xyz": [0.05, -0.03, 0.07], "rpy": [0.1, -0.2, 1.5]}
 WRONG = ("shoulder_lift_joint.yaw", "elbow_joint.x", "elbow_joint.roll", "wrist_1_joint.yaw", "wrist_2_joint.roll")
 
@@ -115,7 +123,9 @@ def test_every_file_says_the_same_place(in_hand: tuple[Path, Draft, Outcome, Con
     for name in ("eye.easy_handeye.yaml", "eye.easy_handeye2.calib"):
         stored = yaml.safe_load((home / name).read_text())
         assert stored["parameters"]["eye_on_hand"] and stored["parameters"]["robot_effector_frame"] == "tool0"
-        found[name] = placed(*np.split(np.array([stored["transformation"][k] for k in "x y z qx qy qz qw".split()]), [3]))
+        found[name] = placed(
+            *np.split(np.array([stored["transformation"][k] for k in ["x", "y", "z", "qx", "qy", "qz", "qw"]]), [3])
+        )
     document = yaml.safe_load((home / "eye.yaml").read_text())
     found["matrix"] = pin.SE3(np.array(document["matrix"]))
     found["quaternion"] = placed(document["xyz"], document["quaternion"])

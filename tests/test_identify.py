@@ -188,7 +188,9 @@ def test_another_day_has_a_verdict_of_its_own(
     bent = q + np.eye(q.shape[1])[2] * 2e-3
     for name, readings, shift in (("remounted", q, np.array([0.0, 5e-3, 0.0])), ("changed", bent, np.zeros(3))):
         R, p = truth.model.poses(truth.theta, truth.model.rows(readings))
-        day = replace(truth, measured=robots.measured(truth.model.robot, q, p + shift + 1e-4 * rng.normal(size=p.shape), R))
+        day = replace(
+            truth, measured=robots.measured(truth.model.robot, q, p + shift + 1e-4 * rng.normal(size=p.shape), R)
+        )
         robots.table(day).to_csv(tmp_path / f"{name}.csv", index=False, float_format="%.17g")
         words = [str(folder / "campaign.yaml"), "-o", str(tmp_path / "out"), "--verify", str(tmp_path / f"{name}.csv")]
         assert identify.main(words) == 3

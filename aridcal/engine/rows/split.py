@@ -23,8 +23,8 @@ FEW_ROWS = 12
 def held_together(data: Dataset) -> np.ndarray:
     """Numbers of the groups of rows that are held back together, shape (N,): those of a place, or all of a thing that has few.
 
-    A row of an unknown thing that has few rows, held back alone, would say nothing new: the thing's other rows know it. Marks of a
-    board are known.
+    A row of an unknown thing that has few rows, held back alone, would say nothing new: the thing's other rows know it. Marks of
+    a board are known.
     """
     return _with_things(data, places(data.readings, data.kinds))
 

@@ -61,7 +61,9 @@ def add_board_options(arguments: argparse.ArgumentParser) -> None:
         "--square", type=length, help="side of a square or of the cube, 35mm; of circles half their distance in a row"
     )
     board.add_argument(
-        "--marker", type=length, help="side of a marker's black square (default: in proportion to the square; 26mm of 35mm)"
+        "--marker",
+        type=length,
+        help="side of a marker's black square (default: in proportion to the square; 26mm of 35mm)",
     )
     board.add_argument("--dictionary", help="of the markers, one of OpenCV's: DICT_5X5_100, DICT_APRILTAG_36h11, …")
 

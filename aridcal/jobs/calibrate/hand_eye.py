@@ -233,9 +233,7 @@ def _information(its_problem: Problem, its_fit: Fit, some: np.ndarray) -> np.nda
     return part.equations.information(its_fit.sigma)
 
 
-def _tilts(
-    outcome: Outcome, its_fit: Fit, rows: Dataset, images: list[np.ndarray], camera: str
-) -> np.ndarray | None:
+def _tilts(outcome: Outcome, its_fit: Fit, rows: Dataset, images: list[np.ndarray], camera: str) -> np.ndarray | None:
     """Angle between the camera's axis and the board's normal in each image, shape (images,), [rad]; None without a board."""
     first = np.array([some[0] for some in images])
     boards, eye = _frames_of(its_fit, BOARD.name), camera_frames(its_fit)[camera]

@@ -78,7 +78,9 @@ def _to_paste(place: CameraPlace, known: str, arm: Arm) -> str:
     """Everything that people paste, each under a heading."""
     xyz, q = _digits(place.placement.translation), _digits(_quaternion(place))
     names = f"{place.parent} {_frame(place)}"
-    ros2 = " ".join(f"--{name} {value}" for name, value in zip(("x", "y", "z", "qx", "qy", "qz", "qw"), xyz + q, strict=True))
+    ros2 = " ".join(
+        f"--{name} {value}" for name, value in zip(("x", "y", "z", "qx", "qy", "qz", "qw"), xyz + q, strict=True)
+    )
     parts = {
         f"matrix, T_{place.parent}_{_frame(place)} [m]": "\n".join(
             " ".join(f"{value: .9f}" for value in row) for row in place.placement.homogeneous
@@ -99,7 +101,7 @@ def _joint(place: CameraPlace, parent: str, prefix: str) -> str:
     xyz = " ".join(_digits(place.placement.translation))
     rpy = " ".join(_digits(pin.rpy.matrixToRpy(place.placement.rotation)))
     return (
-        f"<joint name={quoteattr(f'{prefix}{place.name}_optical_joint')} type=\"fixed\">\n"
+        f'<joint name={quoteattr(f"{prefix}{place.name}_optical_joint")} type="fixed">\n'
         f"  <parent link={quoteattr(parent)}/>\n"
         f"  <child link={quoteattr(prefix + _frame(place))}/>\n"
         f'  <origin xyz="{xyz}" rpy="{rpy}"/>\n'
@@ -126,7 +128,11 @@ def _xacro(place: CameraPlace, known: str) -> str:
 def _launch(place: CameraPlace, known: str) -> str:
     """A launch file of ROS 2 like the one that MoveIt's hand-eye panel saves."""
     values = _digits(place.placement.translation) + _digits(_quaternion(place))
-    pairs = [part for name, value in zip(("x", "y", "z", "qx", "qy", "qz", "qw"), values, strict=True) for part in (name, value)]
+    pairs = [
+        part
+        for name, value in zip(("x", "y", "z", "qx", "qy", "qz", "qw"), values, strict=True)
+        for part in (name, value)
+    ]
     words = ["frame-id", place.parent, "child-frame-id", _frame(place), *pairs]
     arguments = "".join(
         f"                {f'--{name}'!r}, {value!r},\n" for name, value in zip(words[::2], words[1::2], strict=True)
@@ -174,7 +180,7 @@ def _frame(place: CameraPlace) -> str:
 
 
 def _quaternion(place: CameraPlace) -> np.ndarray:
-    """x y z w, shape (4,)."""
+    """X y z w, shape (4,)."""
     return np.asarray(pin.Quaternion(place.placement.rotation).normalized().coeffs())
 
 

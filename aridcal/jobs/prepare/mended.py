@@ -45,11 +45,9 @@ def mended(proposal: Proposal, campaign: Campaign, rows: Dataset, asker: Asker) 
     keys = _changed(campaign.measurements, better.other.settings)
     said = f"as was answered: {better.other.what}, {better.after} per axis off the {better.whose} robot"
     kept = [guess for guess in proposal.guesses if _stands(guess, keys)]
-    new = [
-        Guess(f"measurements.{key}", value, said)
-        for key, value in keys.items()
-        if key != "columns"
-    ] + [Guess(f"measurements.columns.{name}", column, said) for name, column in keys.get("columns", {}).items()]
+    new = [Guess(f"measurements.{key}", value, said) for key, value in keys.items() if key != "columns"] + [
+        Guess(f"measurements.columns.{name}", column, said) for name, column in keys.get("columns", {}).items()
+    ]
     return replace(proposal, guesses=[*kept, *new], fit=None)
 
 
@@ -63,9 +61,7 @@ def _stands(guess: Guess, keys: dict[str, Any]) -> bool:
 
 def _changed(before: MeasurementSettings, after: MeasurementSettings) -> dict[str, Any]:
     """Keys in which two readings differ, as the second has them."""
-    return {
-        key: _plain(getattr(after, key)) for key in OF_A_READING if getattr(after, key) != getattr(before, key)
-    }
+    return {key: _plain(getattr(after, key)) for key in OF_A_READING if getattr(after, key) != getattr(before, key)}
 
 
 def _plain(value: Any) -> Any:
