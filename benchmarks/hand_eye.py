@@ -7,13 +7,13 @@ Example:
 A draw is a camera of known lens at an unknown place on the flange, a board of 24 corners (35 mm apart) at an unknown place, and
 images from 0.35 to 0.6 m, tilted up to 40 degrees, with 0.2 px of noise. The arm is ``perfect``, or ``real``: every constant that
 such rows can tell is off by 1 mm or 1 mrad (standard deviation), and nobody says so. OpenCV's five methods of
-``calibrateHandEye`` and two of ``calibrateRobotWorldHandEye`` get the nominal arm's poses and those of ``solvePnP`` (refined) from
-the same corners. Ours are `aridcal init` on the table of corners with `camera.yaml` and `markers.csv` beside it, and `aridcal
-identify` on the campaign as it stands.
+``calibrateHandEye`` and two of ``calibrateRobotWorldHandEye`` get the nominal arm's poses and those of ``solvePnP`` (refined)
+from the same corners. Ours are `aridcal init` on the table of corners with `camera.yaml` and `markers.csv` beside it, and
+`aridcal identify` on the campaign as it stands.
 
 ``ratio`` is our median error over that of the method whose median is least, in the camera's position and in its rotation; ``to
-luckiest`` the median of our error over the least error of any method in the same draw, which only the truth can choose. ``sigma`` is the root mean square of error over predicted sigma, over the six components and
-all draws: 1 is honest.
+luckiest`` the median of our error over the least error of any method in the same draw, which only the truth can choose.
+``sigma`` is the root mean square of error over predicted sigma, over the six components and all draws: 1 is honest.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def view(rng: np.random.Generator) -> pin.SE3:
 
 
 def joints_for(robot: Robot, tip: pin.SE3, rng: np.random.Generator) -> np.ndarray | None:
-    """Joints that bring the nominal tip to a pose, in any of the arm's postures; None where the search for them ends elsewhere."""
+    """Joints that bring the nominal tip to a pose, in any of the arm's postures; None where the search ends elsewhere."""
     q, step = rng.uniform(-np.pi, np.pi, 6), 1e-6
     for _ in range(40):
         R, p = tip_frames(robot, np.vstack([q, q + step * np.eye(6)]))

@@ -67,8 +67,8 @@ def _summary(done: Sequence[Row]) -> Iterator[Content]:
         worst = max(own, key=lambda row: _rank(row, channel))
         yield tag(
             "p",
-            f"Half of {counted(len(own), 'robot')} are better than {_said(float(np.nanmedian(before)), channel)} RMS as designed, "
-            f"and than {_said(float(np.nanmedian(after)), channel)} as calibrated, on held-out rows. The worst, ",
+            f"Half of {counted(len(own), 'robot')} are better than {_said(float(np.nanmedian(before)), channel)} RMS as designed"
+            f", and than {_said(float(np.nanmedian(after)), channel)} as calibrated, on held-out rows. The worst, ",
             _link(worst),
             f", is left with {_said(error_of(worst, 'final', channel), channel)}.",
         )

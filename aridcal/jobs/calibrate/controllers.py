@@ -186,7 +186,9 @@ def write_controllers(outcome: Outcome, handover: ControllerExports, folder: Pat
     frames: dict[str, Any] = {e.name: _frames(e.model) | _of_cameras(outcome, e.cameras) for e in handover.exports}
     note = "# Where the base stands in the world and the target on the tip, for each export [m, rad].\n"
     if handover.hand_eye is not None:
-        note += "# `cameras`: where each is on what carries it, z along its line of sight; `hand eye` from all rows, as in hand_eye/.\n"
+        note += (
+            "# `cameras`: where each is on what carries it, z along its line of sight; `hand eye`: as in hand_eye/.\n"
+        )
         frames["hand eye"] = _of_cameras(outcome, {c.name: c.placement for c in handover.hand_eye.places})
         write_hand_eye(handover.hand_eye, robot.base, robot.tip, folder)
     (folder / "frames.yaml").write_text(note + yaml.safe_dump(frames, sort_keys=False, width=200), encoding="utf-8")

@@ -19,8 +19,8 @@ FOLDER = "hand_eye"
 
 GOES_WITH: Mapping[Arm, str] = {
     "nominal": "The arm is taken as its URDF has it: constants of its own explain no more of these rows than chance would.",
-    "calibrated": "The arm's constants were fitted with it: it goes with calibrated.urdf. For the arm as its URDF has it, the best "
-    "place is that of `nominal` in frames.yaml.",
+    "calibrated": "The arm's constants were fitted with it: it goes with calibrated.urdf. For the arm as its URDF has it, the "
+    "best place is that of `nominal` in frames.yaml.",
     "full model": "The arm's constants and effects were fitted with it: it goes with the full model. For the arm as its URDF has "
     "it, the best place is that of `nominal` in frames.yaml.",
 }
