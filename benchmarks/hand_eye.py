@@ -81,11 +81,14 @@ def drawn(robot: Robot, images: int, real: bool, seed: int) -> Draw:
     rng = np.random.default_rng([seed, images, real])
     turn = pin.rpy.rpyToMatrix(*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi))
     camera = pin.SE3(turn, rng.uniform((-0.08, -0.08, 0.02), (0.08, 0.08, 0.1)))
-    coefficients = tuple(Coefficient(*name.rsplit(".", 1)) for name in TOLD) if real else ()
+    coefficients = (
+        tuple(Coefficient(joint, c) for joint, _, c in (name.rpartition(".") for name in TOLD)) if real else ()
+    )
     theta = WRONG * rng.standard_normal(len(coefficients))
     nothing = ((None, pin.SE3.Identity()),)
     arm = Model(robot, coefficients, nothing, nothing)
-    readings, pixels = [], []
+    readings: list[np.ndarray] = []
+    pixels: list[np.ndarray] = []
     while len(readings) < images:
         q = joints_for(robot, view(rng) * camera.inverse(), rng)
         if q is None:

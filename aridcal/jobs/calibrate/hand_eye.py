@@ -215,7 +215,8 @@ def _more_views(outcome: Outcome, its_fit: Fit, rows: Dataset, camera: str) -> M
         own = np.diagonal(np.linalg.inv(information), axis1=-2, axis2=-1)[..., index] * scale[index] ** 2
         return np.stack([own[..., part].sum(axis=-1) for part in (linear, ~linear) if part.any()], axis=-1)
 
-    before, taken = variances(H), []
+    before = variances(H)
+    taken: list[int] = []
     while len(taken) < MOST_MORE * count:
         left = variances(H + told) / before
         best = int(np.argmin(left.max(axis=-1)))
