@@ -13,6 +13,7 @@ import pytest
 import robots
 import yaml
 
+import aridcal.init
 from aridcal.engine.robot.expand import read_urdf
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exports, write_controllers
@@ -183,3 +184,14 @@ def test_each_of_two_cameras_has_its_own_place(tmp_path: Path) -> None:
     for place in handover.hand_eye.places:
         assert np.abs(sigmas(place.placement, true_place(tmp_path, place.name), place.std)).max() < 4.0
     assert {path.name.partition(".")[0] for path in (out / "hand_eye").iterdir()} == {"left", "right"}
+
+
+def test_images_are_answered_with_the_command_that_makes_a_table_of_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.png").write_bytes(b"x")
+    for name in (tmp_path, tmp_path / "a.png"):
+        words = ["--urdf", str(robots.URDF / "ur10.urdf"), "--measurements", str(name), "-o", str(tmp_path / "c.yaml")]
+        assert aridcal.init.main(words) == 2
+        assert f"aridcal detect {name} --joints joints.csv" in capsys.readouterr().err
+    assert not (tmp_path / "c.yaml").exists()
