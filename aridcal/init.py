@@ -112,12 +112,13 @@ def _main(arguments: argparse.Namespace) -> None:
 
 
 def _refuse_images(path: Path) -> None:
-    """Refuse images and folders, which people name where they look for a hand-eye calibration: with the command to begin with."""
+    """Refuse images and folders of them, which people name where they look for a hand-eye calibration: with the command to begin with."""
     if not path.is_dir() and path.suffix.lower() in TABLES:
         return
     from aridcal.jobs.boards.grey_images import ENDINGS  # loads OpenCV, which tables do without
 
-    if path.is_dir() or path.suffix.lower() in ENDINGS:
+    files = path.iterdir() if path.is_dir() else [path]
+    if any(file.suffix.lower() in ENDINGS for file in files):
         raise MeasurementError(
             f"{path}: images are no table yet: `aridcal detect {path} --joints joints.csv -o corners.csv` makes one, "
             "which is named here then (docs/hand-eye.md)"
