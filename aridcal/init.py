@@ -112,7 +112,7 @@ def _main(arguments: argparse.Namespace) -> None:
 
 
 def _refuse_images(path: Path) -> None:
-    """Refuse images and folders of them, which people name where they look for a hand-eye calibration: with the command to begin with."""
+    """Refuse images and folders of them, which people name for a hand-eye calibration, with the command to begin with."""
     if not path.is_dir() and path.suffix.lower() in TABLES:
         return
     from aridcal.jobs.boards.grey_images import ENDINGS  # loads OpenCV, which tables do without
