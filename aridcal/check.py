@@ -50,7 +50,7 @@ from aridcal.system.reading.user_names import path_argument
 from aridcal.system.wording import enumeration
 from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, write_table
-from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
+from aridcal.system.writing.whole_files import atomic_file, claimed
 
 
 def parser() -> CommandParser:
@@ -81,7 +81,6 @@ def _main(arguments: argparse.Namespace) -> int:
         return _check(arguments)
     if arguments.poses.suffix.lower() not in WRITTEN_ENDINGS:
         raise OutputError(f"{arguments.poses}: should be a .csv or .parquet file")
-    check_home(arguments.poses)
     check_apart([arguments.poses], [arguments.results, arguments.rows])
     with claimed(arguments.poses, "file"):
         return _check(arguments)

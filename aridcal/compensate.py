@@ -62,7 +62,7 @@ from aridcal.system.progress import SHOWN_REMARKS, Screen, console_progress
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, table_file, write_table
-from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
+from aridcal.system.writing.whole_files import atomic_file, claimed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -152,7 +152,6 @@ def _main(arguments: argparse.Namespace) -> None:
         raise OutputError("--frames, --at, --start and --zeros are for robot programs: a table has its own columns")
     if arguments.out.suffix.lower() not in WRITTEN_ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_home(arguments.out)
     check_apart([arguments.out], [arguments.calibration, *arguments.poses])
     with claimed(arguments.out, "file"):
         _compensate(arguments)
@@ -285,10 +284,11 @@ def _report(totals: CommandTotals, calibration: SavedModel, out: Path, console: 
             "these are joints to be reported by the controller, as in the calibration: to get the commands, add to each "
             "the difference between commanded and reported joint"
         )
+    remarks = calibration.measurements.table.remarks_on(out)
     sentence = f"{out}: {totals.rows} rows, {totals.reached} reached"
     sentence += f", {totals.missed} out of reach" if totals.missed else ""
     sentence += f", {totals.bare} without a command because a number is missing" if totals.bare else ""
-    console.say(*lines, f"{sentence}; {totals.unlike} of them unlike what was measured")
+    console.say(*lines, f"{sentence}; {totals.unlike} of them unlike what was measured", *remarks)
 
 
 if __name__ == "__main__":

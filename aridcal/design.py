@@ -134,6 +134,7 @@ def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
         plan = design(setup, request, progress)
         write_plan(plan, campaign, robot, out, arguments.settle)
     _report(plan, arguments.apart, out, console)
+    console.say(*campaign.measurements.table.remarks_on(*out))
 
 
 def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path], console: Screen) -> None:

@@ -7,7 +7,10 @@ held-out rows leave beyond it and beyond the instrument's declared noise. All fi
 Where rows are too few to judge the model by (verdict not_enough_data), the screen and the report begin with that: not for a
 controller. No tolerance is kept then.
 
-Exit status: 0 done, 3 not within the tolerance.
+With --verify, a table of another day has a verdict of its own: agrees, remounted (target or instrument stand elsewhere: fit the
+frames anew), or changed (the robot itself: measure it again).
+
+Exit status: 0 done, 3 not within the tolerance, or not what another day's table says.
 
 Example:
     aridcal identify identification/arid/campaign.yaml
@@ -91,12 +94,12 @@ def summary(outcome: Outcome, console: Console) -> None:
         console.print(_effect_line(outcome, effect) + (f": {moved}" if moved else ""), markup=False)
     if outcome.diagnosis is not None and outcome.diagnosis.tested:
         console.print(f"{outcome.diagnosis.tested:,} candidates tested", markup=False)
-    if outcome.verification is not None:
+    verified = verification_agreement(outcome)
+    if outcome.verification is not None and verified is not None:
         for line in _verification_lines(outcome.verification):
             console.print(line, markup=False)
-    verified = verification_agreement(outcome)
-    if verified is not None:
         console.print(verified[1], markup=False)
+        console.print(f"verdict on {shortened(outcome.verification.file)}: {verified[0]}", markup=False)
     console.print(_noise_line(outcome), markup=False)
     for line in scale_in_words(outcome):
         console.print(line, markup=False)
@@ -222,6 +225,7 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         check_apart((out / name for name in RESULT_FILES), inputs)
         job = read_job(campaign, arguments.seed, progress, out / CACHE, arguments.verify is not None)
         # Loaded only now, here and above: what fits, searches and draws takes longer to load than a slip in a table to be found.
+        from aridcal.jobs.calibrate.hand_eye_files import FOLDER
         from aridcal.jobs.calibrate.pipeline import identify
         from aridcal.jobs.prepare.other_readings import refuse_misread
 
@@ -235,6 +239,8 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         soft_wrap=True,
         markup=False,
     )
+    for camera in () if handover.hand_eye is None else handover.hand_eye.places:
+        console.print(f"camera {camera.name} on {camera.parent}: {camera.in_words}", soft_wrap=True, markup=False)
     for notice in written.notices[:MOST_NOTICES]:
         console.print(f"note: {notice}", markup=False, soft_wrap=True)
     if len(written.notices) > MOST_NOTICES:
@@ -242,13 +248,20 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
     console.say(f"report: {out / 'report.html'}")
     if (out / "certificate.pdf").is_file():
         console.say(f"certificate: {out / 'certificate.pdf'}")
+    if handover.hand_eye is not None:
+        console.say(f"cameras, to paste: {out / FOLDER}")
     console.say(*_next(out, outcome, handover))
     print_headline(arguments, _headline(out, outcome))
     return DONE if _good(outcome) else NOT_GOOD
 
 
 def _good(outcome: Outcome) -> bool:
-    """False where a tolerance is not kept, or nobody can say so as there are too few data."""
+    """False where another day disagrees, a tolerance is not kept, or nobody can say so as there are too few data."""
+    from aridcal.jobs.calibrate.key_figures import verification_agreement  # as above
+
+    day = verification_agreement(outcome)
+    if day is not None and day[0] != "agrees":
+        return False
     if outcome.campaign.tolerance is not None and not outcome.verdict.for_controller:
         return False
     return outcome.certainty is None or outcome.certainty.within
@@ -269,17 +282,19 @@ def _next(out: Path, outcome: Outcome, handover: ControllerExports) -> list[str]
 
 def _headline(out: Path, outcome: Outcome) -> dict[str, Any]:
     """What `--json` prints: keys of `result.json`, the error on the rows that judge, and where the pages are."""
-    from aridcal.jobs.calibrate.key_figures import scored  # as above
+    from aridcal.jobs.calibrate.key_figures import scored, verification_agreement  # as above
 
     document = json.loads(read_file(out / "result.json", OutputError, RESULT))
     scored_rows, rows = scored(outcome)
     part = next(name for name, mask in outcome.parts().items() if np.array_equal(mask, scored_rows))
     keys = ("verdict", "reasons", "effects", "workspace", "notices")
+    day = verification_agreement(outcome)
     return {
         "format": document["format"],
         "rows": f"{scored_rows.sum()} {rows}",
         "error": {stage: parts[part] for stage, parts in document["error"].items()},
         **{key: document[key] for key in keys if key in document},
+        **({} if day is None else {"another_day": day[0]}),
         **{page: str(out / page) for page in ("report.html", "certificate.pdf") if (out / page).is_file()},
     }
 

@@ -16,10 +16,11 @@ import sys
 from pathlib import Path
 
 from aridcal.command_line import CommandParser, answer, ask, command, command_parser, for_scripts, screens
+from aridcal.files.tables import TABLE_ENDINGS as TABLES
 from aridcal.jobs.prepare.campaign_text import draft
 from aridcal.jobs.prepare.guesses import leave_open
 from aridcal.runs.proposal import print_proposal
-from aridcal.system.errors import OutputError, printable, shortened
+from aridcal.system.errors import MeasurementError, OutputError, printable, shortened
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import atomic_file, claimed
@@ -98,6 +99,8 @@ def _main(arguments: argparse.Namespace) -> None:
     check_apart(
         [out], [arguments.urdf, *arguments.measurements]
     )  # a link that leads to what is not there, for instance
+    for path in arguments.measurements:
+        _refuse_images(path)
     with claimed(out, "file"):
         settled, xacro = dict(arguments.set), dict(arguments.argument)
         proposed = draft(arguments.urdf, arguments.measurements, out, choose, settled, dict(arguments.package), xacro)
@@ -106,6 +109,20 @@ def _main(arguments: argparse.Namespace) -> None:
     console, _ = screens(arguments)
     print_proposal(proposed, str(out), console)
     console.say(f"next: aridcal identify {out}")
+
+
+def _refuse_images(path: Path) -> None:
+    """Refuse images and folders of them, which people name for a hand-eye calibration, with the command to begin with."""
+    if not path.is_dir() and path.suffix.lower() in TABLES:
+        return
+    from aridcal.jobs.boards.grey_images import IMAGE_ENDINGS  # loads OpenCV, which tables do without
+
+    files = path.iterdir() if path.is_dir() else [path]
+    if any(file.suffix.lower() in IMAGE_ENDINGS for file in files):
+        raise MeasurementError(
+            f"{path}: images are no table yet: `aridcal detect {path} --joints joints.csv -o corners.csv` makes one, "
+            "which is named here then (docs/hand-eye.md)"
+        )
 
 
 main = command(parser, _main)

@@ -36,7 +36,7 @@ from aridcal.system.progress import SHOWN_REMARKS, Screen, console_progress
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, table_file
-from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
+from aridcal.system.writing.whole_files import atomic_file, claimed
 
 
 def parser() -> CommandParser:
@@ -58,7 +58,6 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in WRITTEN_ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_home(arguments.out)
     check_apart([arguments.out], [arguments.calibration, arguments.query])
     with claimed(arguments.out, "file"):
         _predict(arguments)
@@ -79,7 +78,7 @@ def _predict(arguments: argparse.Namespace) -> None:
             write(table)
             totals.add(query, table)
             progress.share(stretch.share(len(table)))
-    _report(totals, arguments.out, aside)
+    _report(totals, calibration, arguments.out, aside)
 
 
 @dataclass
@@ -112,13 +111,13 @@ class PredictionTotals:
         self.remarks.add(query)
 
 
-def _report(totals: PredictionTotals, out: Path, console: Screen) -> None:
+def _report(totals: PredictionTotals, calibration: SavedModel, out: Path, console: Screen) -> None:
     """Print remarks and totals."""
     console.say(*totals.remarks.lines())
     sentence = f"{out}: {totals.rows} rows, {totals.unlike} of them unlike what was measured"
     sentence += f", {totals.untold} where no reading told a part of what moves the target" if totals.untold else ""
     sentence += f", {totals.bare} without a pose because a number is missing" if totals.bare else ""
-    console.say(sentence)
+    console.say(sentence, *calibration.measurements.table.remarks_on(out))
 
 
 main = command(parser, _main)

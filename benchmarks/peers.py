@@ -54,6 +54,9 @@ PINNED = {
     "figaroh": ("figaroh==1.0.2", "pin==4.1.0", "ndcurves==2.3.0", "numpy==2.4.6", "scipy==1.17.1", "pandas==3.1.1"),
     "pybotics": ("pybotics==3.1.2", "numpy==1.26.4", "scipy==1.17.1"),
 }  # fmt: skip
+HAND_EYE = {
+    "opencv": ("opencv-python-headless==4.12.0.88", "numpy==2.2.6")
+}  # of hand_eye.py: version 5 has no such methods
 ENVIRONMENTS = TOP / "build" / "peers"
 NOISE, WRONG = 1e-4, 1e-3  # per axis; standard deviation of every constant, [m] and [rad]
 HELD = 1000  # rows of a simulation that no tool is shown
@@ -204,13 +207,14 @@ def environment(tool: str) -> Path:
     if tool == "aridcal":
         return Path(sys.executable)
     home = ENVIRONMENTS / tool
-    wanted = "\n".join(PINNED[tool])
+    required = (PINNED | HAND_EYE)[tool]
+    wanted = "\n".join(required)
     if not (home / "made").is_file() or (home / "made").read_text() != wanted:
         uv = shutil.which("uv", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}")
         assert uv is not None, "uv is not installed: it is in the developers' environment (make test)"
         version = f"{sys.version_info.major}.{sys.version_info.minor}"
         subprocess.run([uv, "venv", "--quiet", "--clear", "--python", version, str(home)], check=True)
-        subprocess.run([uv, "pip", "install", "--quiet", "--python", str(home), *PINNED[tool]], check=True)
+        subprocess.run([uv, "pip", "install", "--quiet", "--python", str(home), *required], check=True)
         (home / "made").write_text(wanted)
     return home / "bin" / "python"
 

@@ -7,6 +7,7 @@ import codecs
 import math
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
@@ -220,6 +221,14 @@ class TableSettings(Section):
     def is_plain(self) -> bool:
         """True where the files are plain csv."""
         return self.dialect == PLAIN
+
+    def remarks_on(self, *written: Path) -> list[str]:
+        """What is said of csv files that are written where the campaign's own tables are written otherwise."""
+        tables = [] if self.is_plain else [str(path) for path in written if path.suffix.lower() == ".csv"]
+        return [
+            f"{path}: plain csv, commas and decimal points; commands read it beside the campaign's own tables"
+            for path in tables
+        ]
 
 
 class Units(Section):

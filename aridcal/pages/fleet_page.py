@@ -67,8 +67,8 @@ def _summary(done: Sequence[Row]) -> Iterator[Content]:
         worst = max(own, key=lambda row: _rank(row, channel))
         yield tag(
             "p",
-            f"Half of {plural(len(own), 'robot')} are better than {_said(float(np.nanmedian(before)), channel)} RMS as built, "
-            f"and than {_said(float(np.nanmedian(after)), channel)} as calibrated, on held-out rows. The worst, ",
+            f"Half of {plural(len(own), 'robot')} are better than {_said(float(np.nanmedian(before)), channel)} RMS as designed"
+            f", and than {_said(float(np.nanmedian(after)), channel)} as calibrated, on held-out rows. The worst, ",
             _link(worst),
             f", is left with {_said(error_of(worst, 'final', channel), channel)}.",
         )
@@ -103,7 +103,7 @@ def _errors(done: Sequence[Row]) -> Iterator[Content]:
             ("robot, worst first", f"RMS on held-out rows [{unit}]"),
             joined=False,
         )
-        pictures.append((f"{plural(len(own), 'robot')}: as built, and with constants and effects", picture))
+        pictures.append((f"{plural(len(own), 'robot')}: as designed, and with constants and effects", picture))
     yield figures(pictures)
 
 

@@ -18,7 +18,7 @@ from aridcal.pages.plan_page import plan_page
 from aridcal.system.errors import OutputError
 from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, write_table
-from aridcal.system.writing.whole_files import atomic_file, check_home
+from aridcal.system.writing.whole_files import atomic_file
 
 PLAN_PAGE_ENDING = ".html"
 PLAN_ENDINGS = (*WRITTEN_ENDINGS, *PROGRAMS, PLAN_PAGE_ENDING)
@@ -29,7 +29,7 @@ MOST_PLANNED = 500
 
 
 def check_endings(out: Sequence[Path]) -> None:
-    """Make sure that files of these names can hold a plan, and that their folders are there.
+    """Make sure that files of these names can hold a plan.
 
     Raises:
         OutputError: naming the file.
@@ -37,7 +37,6 @@ def check_endings(out: Sequence[Path]) -> None:
     for path in out:
         if path.suffix.lower() not in PLAN_ENDINGS:
             raise OutputError(f"{path}: should be a file that ends in one of {', '.join(PLAN_ENDINGS)}")
-        check_home(path)
 
 
 def check_outputs(campaign: Campaign, robot: Robot, out: Sequence[Path]) -> None:

@@ -26,7 +26,7 @@ RESULT_FILES = frozenset(
 )
 """All files that a result may have: a file of an earlier result that this one lacks must go."""
 
-RESULT_FOLDERS = frozenset({"regions"})
+RESULT_FOLDERS = frozenset({"regions", "hand_eye"})
 """Folders that a result may have."""
 
 

@@ -178,6 +178,25 @@ def test_another_day_is_scored_with_the_models_as_they_are(small: tuple[robots.T
     assert np.sqrt(np.mean(outcome.verification.residuals["nominal"][:, :3] ** 2)) > 5e-4
 
 
+def test_another_day_has_a_verdict_of_its_own(
+    small: tuple[robots.Truth, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Second road to each verdict: a tripod that moved, and an elbow that did."""
+    truth, folder = small
+    rng = np.random.default_rng(4)
+    q = robots.readings(truth.model.robot, 40, rng)
+    bent = q + np.eye(q.shape[1])[2] * 2e-3
+    for name, readings, shift in (("remounted", q, np.array([0.0, 5e-3, 0.0])), ("changed", bent, np.zeros(3))):
+        R, p = truth.model.poses(truth.theta, truth.model.rows(readings))
+        day = replace(
+            truth, measured=robots.measured(truth.model.robot, q, p + shift + 1e-4 * rng.normal(size=p.shape), R)
+        )
+        robots.table(day).to_csv(tmp_path / f"{name}.csv", index=False, float_format="%.17g")
+        words = [str(folder / "campaign.yaml"), "-o", str(tmp_path / "out"), "--verify", str(tmp_path / f"{name}.csv")]
+        assert identify.main(words) == 3
+        assert f"verdict on {name}.csv: {name}" in capsys.readouterr().out
+
+
 def test_the_campaigns_own_rows_are_no_other_day(
     small: tuple[robots.Truth, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1019,7 +1019,6 @@ QUERIES: dict[str, tuple[tuple[str, ...], Spoil, str]] = {
     ),
     "a query for a pipe": (PREDICT, instead("query.csv", os.mkfifo), "is a pipe"),
     "an answer of another kind": ((*PREDICT[:-1], "out.txt"), nothing, r"out\.txt: should be a \.csv or \.parquet"),
-    "an answer in no folder": ((*PREDICT[:-1], "no/out.csv"), nothing, "no folder no; make it"),
     "an answer over a pipe": (
         (*PREDICT[:-1], "pipe.csv"),
         lambda folder: os.mkfifo(folder / "pipe.csv"),

@@ -317,13 +317,16 @@ def fit(
     )
 
 
-def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]] = ()) -> Fit:
+def fit_identifiable(
+    problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]] = (), plenty: float = PLENTY_OF_NUMBERS
+) -> Fit:
     """Fit the identifiable coefficients of a model; the others stay nominal and are named as redundant.
 
     Args:
         problem: All candidates, N rows.
         order: The candidates' indices, those to be kept before others first.
         groups: Candidates of one prior size, where rows are few; see :func:`shrunk`.
+        plenty: Numbers measured for each coefficient from which rows are not few.
 
     Raises:
         NotIdentifiable: nothing at all can be identified.
@@ -350,7 +353,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
         subset = identifiable(R, order, kept)
         if sorted(subset.independent) == kept:
             break
-    if groups and result.numbers < PLENTY_OF_NUMBERS * len(kept):
+    if groups and result.numbers < plenty * len(kept):
         result, subset = _fit_few_rows(problem, order, groups, replace(result, theta=theta), subset)
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)

@@ -94,12 +94,12 @@ def fit_geometry(
     if candidates:
         centred, _ = nominal.model.recentred(nominal.theta)
         fit_problem = problem(centred.with_coefficients(candidates), train, progress)
-        geometric = fit_identifiable(fit_problem, range(len(candidates)), _lengths_and_angles(candidates, len(frames)))
+        geometric = fit_identifiable(fit_problem, range(len(candidates)), lengths_and_angles(candidates, len(frames)))
     _refuse_strangers(fit_problem, geometric.model, geometric.theta, unscaled(geometric.residual, train.relative))
     return Geometry(nominal, with_restarts(geometric, train, question.starts, progress) if candidates else nominal)
 
 
-def _lengths_and_angles(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], list[int]]:
+def lengths_and_angles(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], list[int]]:
     """Indices of the constants that are lengths, and of those that are angles; the frames before them are neither."""
     constants = range(frames, len(candidates))
     lengths = [k for k in constants if candidates[k].component in LENGTH_COMPONENTS]

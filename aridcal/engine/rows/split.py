@@ -23,7 +23,8 @@ FEW_ROWS = 12
 def held_back_groups(data: Dataset) -> np.ndarray:
     """Numbers of the groups of rows that are held back together, shape (N,): those of a place, or all of a thing that has few.
 
-    A row of a thing that has few rows, held back alone, would say nothing new: the thing's other rows know it.
+    A row of an unknown thing that has few rows, held back alone, would say nothing new: the thing's other rows know it. Marks of
+    a board are known.
     """
     return _with_things(data, places(data.readings, data.kinds))
 
@@ -37,10 +38,23 @@ def _with_things(data: Dataset, of_arm: np.ndarray) -> np.ndarray:
     """The numbers of the arm's places or configurations, shape (N,), with all rows of a thing that has few under one number."""
     if data.direct:
         return of_arm
-    labels = np.column_stack([data.labels.block.astype(str), data.labels.refers])
+    labels = np.column_stack([data.labels.block.astype(str), _unknown(data)])
     thing = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
     few = np.bincount(thing)[thing] < FEW_ROWS
     return np.asarray(np.unique(np.where(few, thing + of_arm.max() + 1, of_arm), return_inverse=True)[1])
+
+
+def _unknown(data: Dataset) -> np.ndarray:
+    """Labels of what the rows refer to and have to tell, shape (N, roles); empty for what is known beforehand."""
+    labels = data.labels.refers.copy()
+    for number, block in enumerate(data.blocks):
+        rows = data.labels.block == number
+        for k, role in enumerate(block.traits.roles):
+            things = data.instruments.things.get(role.name)
+            if things is not None and not things.free.all():
+                known = [name for name, free in zip(things.names, things.free, strict=True) if not free.any()]
+                labels[rows & np.isin(labels[:, k], known), k] = ""
+    return labels
 
 
 def draw_split(block: np.ndarray, seed: int) -> np.ndarray:

@@ -121,7 +121,8 @@ def clues(
         part = rows if len(some) == len(rows) else rows.select(some)
         others = _other_views(part, residual[some], sigma, fit) if fit else []
         views = [ResidualView("in world axes", white[some]), *others]
-        clues_found.append(_neighbours(views, part.readings))
+        if _moving_joints(part.readings).any():
+            clues_found.append(_neighbours(views, part.readings))
         each = "measurements" if "time" in part.covariates else "rows"
         order = part.sequence
         clues_found.append(

@@ -92,11 +92,7 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> FileFormat:
         return FileFormat((replace(PLAIN, encoding=coded, sheet=sheet),), who)
     if ending not in workbooks.WORKBOOK_ENDINGS:
         separated = found.separator
-    if not found.header:
-        raise MeasurementError(
-            f"{path}: no line names its {len(found.rows[0])} columns{_of(who)}; write their names above line {found.first}, "
-            "joints as in the URDF, then x y z and the orientation's"
-        )
+    names = () if found.header else _names(found, path, who, pick)
     base = Dialect(
         encoding=coded,
         separator=separated,
@@ -104,6 +100,7 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> FileFormat:
         first_row=_first_row(found),
         comment=found.comment,
         sheet=sheet,
+        names=names,
     )
     base = replace(base, lists=_lists(found), dates=_dates(found, path, pick))
     numbers = [row[k] for row in found.rows for k in found.numeric if k < len(row) and is_number(row[k])]
@@ -122,7 +119,9 @@ def as_keys(dialect: Dialect) -> dict[str, object]:
         value = getattr(dialect, name)
         if value != getattr(PLAIN, name):
             keys[name] = {" ": "blank"}.get(value, value) if name == "thousands" else words.get(value, value)
-    if dialect.header != PLAIN.header:
+    if dialect.names:
+        keys["names"] = list(dialect.names)
+    elif dialect.header != PLAIN.header:
         keys["header"] = dialect.header[0] if len(dialect.header) == 1 else list(dialect.header)
     if dialect.comment:
         keys["comment"] = list(dialect.comment)
@@ -133,13 +132,45 @@ def as_keys(dialect: Dialect) -> dict[str, object]:
     return keys
 
 
+PLACE = ("x", "y", "z")
+
+ORIENTATIONS = (("qx", "qy", "qz", "qw"), ("qw", "qx", "qy", "qz"), ("rx", "ry", "rz"), ())
+"""Columns behind a position, the usual first."""
+
+FEWEST_JOINTS, MOST_JOINTS = 2, 16
+"""Columns that are left for joints where nobody names any."""
+
+
+def _names(found: TableLayout, path: Path, who: str, pick: Pick) -> tuple[str, ...]:
+    """Names of the columns of a table without a header, as somebody chooses them: joints by their numbers, and a pose.
+
+    Raises:
+        MeasurementError: no usual table has so many columns.
+    """
+    count = len(found.rows[0])
+    answers: dict[str, tuple[str, ...]] = {}
+    for turn in ORIENTATIONS:
+        pose = (*PLACE, *turn)
+        joints = count - len(pose)
+        if FEWEST_JOINTS <= joints <= MOST_JOINTS and found.numeric >= set(range(count)):
+            numbered = tuple(f"q{k + 1}" for k in range(joints))
+            answers[f"{joints} joints, then {' '.join(pose)}"] = (*numbered, *pose)
+            answers[f"{' '.join(pose)}, then {joints} joints"] = (*pose, *numbered)
+    nothing = f"no line names its {count} columns{_of(who)}"
+    remedy = f"write their names above line {found.first}, joints as in the URDF, then x y z and the orientation's"
+    if not answers:
+        raise MeasurementError(f"{path}: {nothing}; {remedy}")
+    chosen = pick("table.names", f"{path}: which columns are these", list(answers), f"{nothing}; answer, or {remedy}")
+    return list(answers.values())[chosen]
+
+
 def _of(who: str) -> str:
     return f" (it looks like an export of {who})" if who else ""
 
 
 def _first_row(found: TableLayout) -> int:
     """0 where rows begin right below the header."""
-    return 0 if found.first == max(found.header) + 1 else found.first
+    return 0 if found.first == max(found.header, default=0) + 1 else found.first
 
 
 def _samples(content: bytes, path: Path, pick: Pick) -> FileFormat:

@@ -30,6 +30,9 @@ TAGS: Defaults = {"apriltag": {"dictionary": "DICT_APRILTAG_36h11"}, "aruco": {"
 
 LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 
+SCALED_DECIMALS = 4
+"""Decimals of a marker's side [m] that follows from the square's: tenths of a millimetre, which a ruler shows."""
+
 _LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|in)\s*")
 _SIZE = re.compile(r"\s*(\d{1,3})\s*[x×]\s*(\d{1,3})\s*")
 
@@ -57,7 +60,11 @@ def add_board_options(arguments: argparse.ArgumentParser) -> None:
     board.add_argument(
         "--square", type=length, help="side of a square or of the cube, 35mm; of circles half their distance in a row"
     )
-    board.add_argument("--marker", type=length, help="side of a marker's black square, 26mm")
+    board.add_argument(
+        "--marker",
+        type=length,
+        help="side of a marker's black square (default: in proportion to the square; 26mm of 35mm)",
+    )
     board.add_argument("--dictionary", help="of the markers, one of OpenCV's: DICT_5X5_100, DICT_APRILTAG_36h11, …")
 
 
@@ -78,8 +85,11 @@ def chosen(arguments: argparse.Namespace, what: str, defaults: Defaults) -> dict
         if getattr(arguments, name) is not None:
             known = ", ".join(f"--{option}" for option in of_thing) or "no options"
             raise CampaignError(f"--{name}: {what} has no such option; it has {known}")
-    typed = {name: getattr(arguments, name) for name in of_thing}
-    return {name: of_thing[name] if value is None else value for name, value in typed.items()}
+    typed = {name: value for name in of_thing if (value := getattr(arguments, name)) is not None}
+    usual = dict(of_thing)
+    if {"square", "marker"} <= set(of_thing) and "square" in typed:
+        usual["marker"] = round(of_thing["marker"] / of_thing["square"] * typed["square"], SCALED_DECIMALS)
+    return usual | typed
 
 
 def board_of(what: str, options: Mapping[str, Any]) -> Board | Chessboard | Circles | Tags | Cube:

@@ -9,6 +9,7 @@ from textwrap import indent
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import yaml
 
 from aridcal.engine.corrections.basis import evaluate
@@ -24,6 +25,8 @@ from aridcal.engine.robot.chain import Robot, chain_in_urdf
 from aridcal.engine.robot.dh import DHTable, doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
 from aridcal.engine.rows.dataset import Dataset, with_sigma
 from aridcal.engine.trust.regions import Region, Regions, regions
+from aridcal.jobs.calibrate.hand_eye import HandEye, camera_frames, carrier, hand_eye
+from aridcal.jobs.calibrate.hand_eye_files import write_hand_eye
 from aridcal.jobs.calibrate.key_figures import judged_channels, scored
 from aridcal.jobs.calibrate.outcome import Outcome, leading
 from aridcal.jobs.calibrate.urdf_files import write_urdf
@@ -40,6 +43,8 @@ LABEL_NOTE = (
     "A region's URDF holds for rows whose `station` is its `label`; that of an empty label, the one model, for all others. All",
     "go with the two frames of `URDF by region` in frames.yaml.",
 )
+OFFSETS = "joint offsets alone"
+LEAST_GAIN = 1e-3  # share of the error below which three digits show no difference
 HELD_PRECISION = 1e12  # precision of a coefficient that is held, in units of the noise's own
 
 
@@ -54,6 +59,7 @@ class Export:
             positions.
         apart: RMS distance of its predictions from the full model's on the same rows, [m].
         model: Model of the export, with the two frames fitted to it.
+        cameras: Where its cameras are, each in the frame of what carries it.
     """
 
     name: str
@@ -61,6 +67,7 @@ class Export:
     error: float
     apart: float
     model: Model = field(repr=False)
+    cameras: dict[str, pin.SE3] = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,7 @@ class ControllerExports:
     """All exports of a calibration.
 
     Attributes:
-        exports: The least complete first, the full model last.
+        exports: The least complete first, the full model last; joint offsets and maps only where they gain anything.
         rows: The rows that score them, ``60 held-out rows`` for instance.
         channel: The channel of the error.
         offsets: Joint-zero offsets alone: readings' corrections by name, [rad] or [m]; those that the frames take up
@@ -77,6 +84,7 @@ class ControllerExports:
         with_maps: The fit whose constants go with the maps; None where no joint has a curve.
         calibrated: The chain of ``calibrated.urdf``.
         regions: Constants of each region, where some deviate from the one model; else None.
+        hand_eye: Where the cameras are; None where no row is of one.
     """
 
     exports: tuple[Export, ...]
@@ -87,6 +95,7 @@ class ControllerExports:
     with_maps: Fit | None
     calibrated: Robot
     regions: Regions | None = None
+    hand_eye: HandEye | None = None
 
     def summary(self) -> str:
         """One line: ``nominal 1.73 mm, URDF alone 0.65, full model 0.16``."""
@@ -106,26 +115,26 @@ def controller_exports(outcome: Outcome) -> ControllerExports:
     part = columns(m.channels)[first]
 
     def export(name: str, files: tuple[str, ...], stage_fit: Fit, of_regions: Regions | None = None) -> Export:
-        stage_fit = recentred(stage_fit)
+        cameras, stage_fit = camera_frames(stage_fit), recentred(stage_fit)
         residual = (
             problem(stage_fit.model, m).residual(stage_fit.theta) if of_regions is None else of_regions.residual(m)
         )[judging]
         apart = residual - final.residual[judging]
         if not m.direct:
             apart = (_predicted(stage_fit, m) - outcome.at_target.places)[judging]
-        return Export(name, files, _rms(residual[:, part]), _rms(apart[:, :3]), stage_fit.model)
+        return Export(name, files, _rms(residual[:, part]), _rms(apart[:, :3]), stage_fit.model, cameras)
 
     offsets = _offsets(outcome)
     with_maps = _with_maps(outcome)
     urdf = ("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml")
-    exports = [
-        export("nominal", (), outcome.stage("nominal").fit),
-        export("joint offsets alone", ("joint_offsets.yaml",), offsets),
-        export("URDF alone", ("calibrated.urdf", *urdf), outcome.stage("geometric").fit),
-    ]
+    nominal = export("nominal", (), outcome.stage("nominal").fit)
+    zeros_alone = export(OFFSETS, ("joint_offsets.yaml",), offsets)
+    constants = export("URDF alone", ("calibrated.urdf", *urdf), outcome.stage("geometric").fit)
+    exports = [nominal, *([zeros_alone] if _gains(zeros_alone, nominal) else []), constants]
     if with_maps is not None:
-        files = ("joint_maps.urdf", "joint_maps.csv")
-        exports.append(export("+ joint maps", files, with_maps))
+        maps = export("+ joint maps", ("joint_maps.urdf", "joint_maps.csv"), with_maps)
+        with_maps = with_maps if _gains(maps, constants) else None
+        exports += [maps] if with_maps is not None else []
     of_regions = by_region(outcome)
     if of_regions is not None:
         exports.append(export(BY_REGION, (INDEX,), final.fit, of_regions))
@@ -141,7 +150,13 @@ def controller_exports(outcome: Outcome) -> ControllerExports:
         with_maps=with_maps,
         calibrated=chain_in_urdf(robot, stage_urdf(outcome.stage("geometric").fit)),
         regions=of_regions,
+        hand_eye=hand_eye(outcome),
     )
+
+
+def _gains(export: Export, before: Export) -> bool:
+    """True of an export that leaves less than one that asks less of a controller: in digits that are shown."""
+    return export.error < (1.0 - LEAST_GAIN) * before.error
 
 
 def by_region(outcome: Outcome) -> Regions | None:
@@ -162,13 +177,20 @@ def write_controllers(outcome: Outcome, handover: ControllerExports, folder: Pat
         write(name, table.text, "URDF alone", *table.notes)
     text = yaml.safe_dump({"joint_offsets": handover.offsets}, sort_keys=False)
     absorbed = [name for name in robot.readings if name not in handover.offsets]
-    write(
-        "joint_offsets.yaml", text, "joint offsets alone",
-        "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
-        *([f"Of {', '.join(absorbed)}: none, the base or the target takes it up."] if absorbed else []),
-    )  # fmt: skip
-    frames = {e.name: _frames(e.model) for e in handover.exports}
+    if any(export.name == OFFSETS for export in handover.exports):
+        write(
+            "joint_offsets.yaml", text, OFFSETS,
+            "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
+            *([f"Of {', '.join(absorbed)}: none, the base or the target takes it up."] if absorbed else []),
+        )  # fmt: skip
+    frames: dict[str, Any] = {e.name: _frames(e.model) | _of_cameras(outcome, e.cameras) for e in handover.exports}
     note = "# Where the base stands in the world and the target on the tip, for each export [m, rad].\n"
+    if handover.hand_eye is not None:
+        note += (
+            "# `cameras`: where each is on what carries it, z along its line of sight; `hand eye`: as in hand_eye/.\n"
+        )
+        frames["hand eye"] = _of_cameras(outcome, {c.name: c.placement for c in handover.hand_eye.places})
+        write_hand_eye(handover.hand_eye, robot.base, robot.tip, folder)
     (folder / "frames.yaml").write_text(note + yaml.safe_dump(frames, sort_keys=False, width=200), encoding="utf-8")
     if handover.regions is not None:
         (folder / INDEX).parent.mkdir()
@@ -290,6 +312,12 @@ def _frames(model: Model) -> dict[str, dict[str, list[float]]]:
         for where, frames in (("world_base", model.world_base), ("tip_target", model.tip_target))
         for label, placement in frames
     }
+
+
+def _of_cameras(outcome: Outcome, cameras: dict[str, pin.SE3]) -> dict[str, Any]:
+    """Where cameras are, by name, with what carries each; empty without cameras."""
+    places = {name: {"on": carrier(outcome, name)[0], **xyz_rpy(at)} for name, at in cameras.items()}
+    return {"cameras": places} if places else {}
 
 
 def _rms(vectors: np.ndarray) -> float:

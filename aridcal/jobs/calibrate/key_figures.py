@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -45,6 +45,9 @@ FULL_TURN = 2 * np.pi
 
 FRAME_PREFIXES = ("world_base.", "world_base[", "tip_target.", "tip_target[")
 """How the names of the frames' own coefficients begin."""
+
+DayVerdict = Literal["agrees", "remounted", "changed"]
+"""What rows of another day say: the calibration holds; target or instrument stand elsewhere; the robot itself has changed."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +182,7 @@ def or_as_well(effect: NamedEffect) -> str:
     return f", or as well {', '.join(names[:MOST_TWINS])}{rest}"
 
 
-def verification_agreement(outcome: Outcome) -> tuple[bool, str] | None:
+def verification_agreement(outcome: Outcome) -> tuple[DayVerdict, str] | None:
     """Whether another day's rows agree with the calibration, and the sentence on that; None without such rows."""
     verification = outcome.verification
     if verification is None:
@@ -200,13 +203,14 @@ def verification_agreement(outcome: Outcome) -> tuple[bool, str] | None:
     which_rows = f"{verification.file}, {sound.sum():,} of {len(sound):,}{own_rows}"
     sentence = f"Another day's rows ({which_rows}): {in_words} RMS, {before} on the {words}"
     if other_error < OVERFIT_RATIO * own_error:
-        return True, f"{sentence}."
+        return "agrees", f"{sentence}."
     if verification.realigned is None:
-        return False, f"{sentence}: the robot, the target or the instrument has changed since."
+        return "changed", f"{sentence}: the robot, the target or the instrument has changed since."
     moved = overall_error(verification.realigned, sound, day_rows, outcome.noise) < OVERFIT_RATIO * own_error
+    word: DayVerdict = "remounted" if moved else "changed"
     why = "the target or the instrument was remounted" if moved else "the robot has changed since"
     return (
-        False,
+        word,
         f"{sentence}; {rms_in_words(verification.realigned, sound, day_rows)} with both frames fitted anew: {why}.",
     )
 

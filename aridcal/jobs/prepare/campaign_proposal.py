@@ -58,7 +58,10 @@ COMPUTED_ALONE = (
 )
 """What is said of positions that a controller computes, where there are no others."""
 
-QUESTIONS = ("table.sheet", "table.dates", "table.decimal", "joints", "columns", "units", "orientation", "robot.tip")
+QUESTIONS = (
+    *("table.sheet", "table.names", "table.dates", "table.decimal"),
+    *("joints", "columns", "units", "orientation", "reading", "robot.tip"),
+)
 """Keys of what may be asked; answers may be given beforehand."""
 
 

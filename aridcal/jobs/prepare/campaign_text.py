@@ -20,8 +20,10 @@ from aridcal.files.campaign import Campaign
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable, read_tables
 from aridcal.files.yaml_file import parse_settings
+from aridcal.jobs.prepare.camera_side import best_side
 from aridcal.jobs.prepare.campaign_proposal import QUESTIONS, propose
 from aridcal.jobs.prepare.guesses import Choose, Chooser, Guess, Proposal
+from aridcal.jobs.prepare.mended import mended
 from aridcal.jobs.prepare.table_formats import best_dialect, dialects_of, say_table
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import Dialect
@@ -97,12 +99,20 @@ def draft(
     proposal.guesses = [
         replace(guess, value=_with_relative_paths(guess.value, out.parent)) for guess in proposal.guesses
     ]
-    text = campaign_text(proposal, source, tables, out.parent)
-    campaign = parse_settings(text, out, Campaign)
-    if any(isinstance(table, pd.DataFrame) for table in tables):
-        campaign = campaign.with_tables(tables)
-    robot = proposal.robot
-    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot)
+
+    def tried(proposal: Proposal) -> tuple[Campaign, Dataset]:
+        campaign = parse_settings(campaign_text(proposal, source, tables, out.parent), out, Campaign)
+        if any(isinstance(table, pd.DataFrame) for table in tables):
+            campaign = campaign.with_tables(tables)
+        robot = proposal.robot
+        return campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot)
+
+    proposal = best_side(proposal, tried)
+    campaign, rows = tried(proposal)
+    chosen = mended(proposal, campaign, rows, asker)
+    if chosen is not proposal:
+        proposal = chosen
+        campaign, rows = tried(proposal)
     return Draft(campaign, proposal, rows)
 
 

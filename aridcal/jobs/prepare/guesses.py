@@ -18,6 +18,10 @@ OF_TARGETS = "instruments.targets."
 """Keys of questions that are asked of each label."""
 
 
+OF_SEVERAL_KEYS = ("reading",)
+"""Keys of questions whose answer is no single key of a campaign."""
+
+
 @dataclass(frozen=True)
 class Guess:
     """One thing that a campaign says, and why.
@@ -79,7 +83,7 @@ class Chooser:
         answer = self.choose(question, answers, why)
         if answer is None:
             place = key if key.startswith(("robot.", "instruments.")) else f"measurements.{key}"
-            becomes = f"This becomes `{place}`. " if self.drafts else ""
+            becomes = f"This becomes `{place}`. " if self.drafts and key not in OF_SEVERAL_KEYS else ""
             raise OpenChoice(
                 f"{question}? {why[:1].upper()}{why[1:]}. {becomes}Run this again with "
                 f"`--set {key}=NUMBER`: {_numbered(answers)}"

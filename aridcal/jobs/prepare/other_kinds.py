@@ -185,12 +185,12 @@ def _say_cameras(table: Table, proposal: Proposal) -> None:
     if "camera" not in table.cells:
         proposal.say("measurements.camera", labels[0], "there is no column camera: all rows are of one")
     lacking = [label for label in labels if label not in cameras_known]
-    why = f"from {CAMERA_FILE}, which `aridcal detect` wrote; `on: world` if it stands beside the arm"
+    sides = "`on: world` if it stands beside the arm, `on: tip` if it moves with it"
+    why = f"from {CAMERA_FILE}, which `aridcal detect` wrote; {sides}"
     if lacking:
-        why = (
-            f"no {CAMERA_FILE} tells of {name_list(lacking)}: width and height are where the marks end. "
-            "Write those of the images"
-        )
+        why = f"no {CAMERA_FILE} tells of {name_list(lacking)}: width and height are where the marks end. "
+        why += "Write those of the images"
+        why += f"; {sides}"
     proposal.say("instruments.cameras", cameras, why, sure=False)
     if home and (home / MARKERS_FILE).is_file():
         proposal.say(

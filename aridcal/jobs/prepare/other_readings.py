@@ -105,20 +105,48 @@ class ReadingResidual:
         return " and ".join(f"{value} {unit}" for value, unit in zip(said, ("mm", "mrad"), strict=False))
 
 
+@dataclass(frozen=True)
+class Better:
+    """Another reading that fits far better than the campaign's.
+
+    Attributes:
+        other: The reading.
+        whose: The robot that judges: ``nominal`` or ``calibrated``.
+        before: What the campaign's own reading leaves of it.
+        after: What the other one does.
+    """
+
+    other: OtherReading
+    whose: str
+    before: ReadingResidual
+    after: ReadingResidual
+
+
 def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Geometry | None) -> None:
-    """Refuse a table that another reading fits far better, and say which.
+    """Refuse a table that another reading fits far better, and say which; see :func:`better_reading`.
+
+    Raises:
+        NotOfThisRobot: naming the reading that fits, and the remedy.
+    """
+    better = better_reading(campaign, robot, rows, geometry)
+    if better is not None:
+        raise NotOfThisRobot(
+            f"{rows.title}: read as the campaign says, these measurements are {better.before} per axis off the {better.whose} "
+            f"robot. Read as {better.other.what} they would be {better.after} off. {better.other.remedy}"
+        )
+
+
+def better_reading(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Geometry | None) -> Better | None:
+    """Another reading of a table that fits far better; None where there is none.
 
     Args:
         campaign: As it is.
         robot: The nominal chain.
         rows: The measurements as the campaign reads them; only training rows are looked at.
-        geometry: The fit of frames and constants; None: it failed.
-
-    Raises:
-        NotOfThisRobot: naming the reading that fits, and the remedy.
+        geometry: The fit of frames and constants; None: it failed, or was not tried.
     """
     if not rows.direct:  # of these kinds no other readings are known
-        return
+        return None
     train = rows.fitted
     labels = station_labels(campaign.question, rows)
     if geometry is not None:
@@ -127,11 +155,11 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
             for better in (geometry.nominal, geometry.geometric)
         ]
         if remainders[0].share < USUAL_NOMINAL and remainders[1].share < USUAL:
-            return
+            return None
     table = _sample(campaign, train)
     campaign_fit = _fit_of_campaign(campaign, robot, campaign.measurements, table, labels)
     if campaign_fit is None:
-        return
+        return None
     tries = []
     for other in _other_ways(campaign.measurements, robot, table):
         nominal = _nominal(campaign, robot, other.settings, other.table, labels)
@@ -143,15 +171,13 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
         geometric = _geometric(campaign, robot, other.settings, other.table, labels)
         if geometric is not None and _far_less((nominal, geometric), campaign_fit):
             better.append((geometric.share * nominal.share * other.doubt, nominal, geometric, other))
-    if better:
-        _, nominal, geometric, other = min(better, key=lambda entry: entry[0])
-        whose, before, after = "calibrated", campaign_fit[1], geometric
-        if before is None or before.share < CLEARLY_LESS * geometric.share:
-            whose, before, after = "nominal", campaign_fit[0], nominal
-        raise NotOfThisRobot(
-            f"{rows.title}: read as the campaign says, these measurements are {before} per axis off the {whose} robot. "
-            f"Read as {other.what} they would be {after} off. {other.remedy}"
-        )
+    if not better:
+        return None
+    _, nominal, geometric, other = min(better, key=lambda entry: entry[0])
+    before = campaign_fit[1]
+    if before is None or before.share < CLEARLY_LESS * geometric.share:
+        return Better(other, "nominal", campaign_fit[0], nominal)
+    return Better(other, "calibrated", before, geometric)
 
 
 def _far_less(

@@ -115,9 +115,10 @@ def _words(dialect: Dialect, workbook: bool = False) -> str:
     cells = f"{dialect.encoding}, cells parted by {parted}"
     if workbook:
         cells = f"sheet {dialect.sheet}" if dialect.sheet else "a workbook of one sheet"
-    header = f"line{'s' if len(dialect.header) > 1 else ''} {', '.join(map(str, dialect.header))}"
+    header = f"names in line{'s' if len(dialect.header) > 1 else ''} {', '.join(map(str, dialect.header))}"
+    header = "names as was answered" if dialect.names else header
     skipped = f", lines that begin with {' or '.join(dialect.comment)} are no rows" if dialect.comment else ""
-    return f"{cells}, {_numbers(dialect)}, names in {header}, rows from line {dialect.begins}{skipped}"
+    return f"{cells}, {_numbers(dialect)}, {header}, rows from line {dialect.begins}{skipped}"
 
 
 def _numbers(dialect: Dialect) -> str:

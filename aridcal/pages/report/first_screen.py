@@ -62,7 +62,7 @@ LINKED = {
 NOT_READY = {"calibrated.urdf": "not for a controller", "calibration.yaml": "the whole model"}
 """What these files are for where there are too few data."""
 
-GIVEN_MODELS = {"nominal": "as built", "geometric": "with the URDF", "final": "with compensation"}
+GIVEN_MODELS = {"nominal": "as designed", "geometric": "with the URDF", "final": "with compensation"}
 """Models by what a customer is given of them."""
 
 OF_THE_TARGET = ("position", "rotation")
@@ -196,8 +196,8 @@ def _other_day(outcome: Outcome) -> Content:
         errors(verification.residuals[name], ~verification.outlier, rows.channels)[channel.key]["rms"]
         for name in ("nominal", "final")
     )
-    good, sentence = said
-    below = tag("p", tag("strong", sentence), class_="good" if good else "look")
+    word, sentence = said
+    below = tag("p", tag("strong", sentence), class_="good" if word == "agrees" else "look")
     noun = f"{channel.noun} on another day"
     days = ("before calibration, that day's rows", before), ("after calibration, that day's rows", after)
     return card(noun, channel.shown, *days, "before → after calibration, on the rows given with --verify.", below)

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator
 from markupsafe import Markup
 
 from aridcal.jobs.calibrate.controllers import INDEX, ControllerExports, Export
+from aridcal.jobs.calibrate.hand_eye_files import FOLDER
 from aridcal.jobs.calibrate.key_figures import narrow_joints
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.html import Content, bullets, codes, fold, table, tag
@@ -122,6 +123,9 @@ def use(outcome: Outcome, handover: ControllerExports, beside: Collection[str] =
     following = next_command(outcome, handover, "results")
     if following:
         yield tag("p", "Next: ", tag("code", following))
+    for camera in () if handover.hand_eye is None else handover.hand_eye.places:
+        words = f" on {camera.parent}: {camera.in_words}. To paste: "
+        yield tag("p", "Camera ", tag("code", camera.name), words, tag("code", f"{FOLDER}/"))
     lines: list[list[Content]] = []
     for export in handover.exports:
         distance = f"{number(1e3 * export.apart)} mm"
@@ -146,7 +150,7 @@ def _error(handover: ControllerExports, export: Export) -> str:
 def _files(handover: ControllerExports, effects: bool, beside: Collection[str]) -> Markup:
     """The files of the result folder."""
     error = {file: _error(handover, export) for export in handover.exports for file in export.files}
-    predict = tag("code", "python -m aridcal.predict calibration.yaml query.csv -o predicted.csv")
+    predict = tag("code", "aridcal predict calibration.yaml query.csv -o predicted.csv")
     lines: list[list[Content]] = [
         [
             "calibrated.urdf",

@@ -118,7 +118,7 @@ def other_day(outcome: Outcome) -> Checks:
     """Rows of one day do not show what changes from day to day."""
     verified = verification_agreement(outcome)
     if verified is not None:
-        yield verified
+        yield verified[0] == "agrees", verified[1]
 
 
 def joint_travel(outcome: Outcome) -> Checks:

@@ -56,18 +56,6 @@ def check_writable(path: Path, kind: OutputKind | None = None) -> None:
             pass
 
 
-def check_home(path: Path) -> None:
-    """Make sure that the folder of a table to be written is there: a slip in its name would make one that nobody looks into.
-
-    Raises:
-        OutputError: naming the folder that is missing.
-    """
-    with errors_named(path):
-        missing = not path.parent.exists()
-    if missing:
-        raise OutputError(f"{path}: cannot be written: there is no folder {path.parent}; make it, or mend the path")
-
-
 @contextmanager
 def claimed(path: Path, kind: OutputKind, names: Collection[str] = (), folders: Collection[str] = ()) -> Iterator[None]:
     """Take an output for this process until the block ends, before any work is done for it.

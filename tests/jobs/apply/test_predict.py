@@ -325,9 +325,16 @@ def test_nothing_is_overwritten_by_a_failed_prediction(tmp_path: Path) -> None:
     assert out.read_text() == "precious"
 
 
-@pytest.mark.parametrize("name", ["out.txt", "query.csv/out.csv", "nowhere/out.csv"])
+@pytest.mark.parametrize("name", ["out.txt", "query.csv/out.csv"])
 def test_a_place_that_cannot_be_written_is_refused_before_any_work(tmp_path: Path, name: str) -> None:
     assert run(tmp_path, calibration(), inside(2), name)[0] == 2
+
+
+def test_the_folder_of_an_answer_is_made_and_goes_again_where_there_is_none(tmp_path: Path) -> None:
+    assert run(tmp_path, calibration(), inside(2), "deep/down/out.csv")[0] == 0
+    assert (tmp_path / "deep" / "down" / "out.csv").is_file()
+    assert run(tmp_path, calibration(), inside(2).drop(columns="joint_3"), "other/out.csv")[0] == 2
+    assert not (tmp_path / "other").exists()
 
 
 def test_a_rotation_that_is_half_a_turn_has_a_unit_quaternion() -> None:

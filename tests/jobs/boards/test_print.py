@@ -1,6 +1,7 @@
 """Bodies to print, and the command: true sizes, closed surfaces, what is written and what is refused."""
 
 import io
+import re
 
 import numpy as np
 import pandas as pd
@@ -120,6 +121,18 @@ def test_the_sizes_asked_for_are_those_printed_and_the_title_says_them(tmp_path)
         len(table) == 5 * 8 and np.isclose(np.ptp(table["x"]), 4 * 0.015) and np.isclose(np.ptp(table["y"]), 7 * 0.015)
     )
     assert "aridcal print charuco --size 6x9 --square 15mm --marker 11mm --dictionary DICT_4X4_50" in out.read_text()
+
+
+def test_a_marker_follows_its_square_here_and_where_it_is_looked_for(tmp_path):
+    """The title says both, as `detect` is to be told them."""
+    sizes = {}
+    for square in ("35mm", "70mm"):
+        out = tmp_path / f"{square}.svg"
+        assert main(["charuco", "--size", "3x3", "--square", square, "-o", str(out), "--quiet"]) == 0
+        sizes[square] = re.search(r"--square (\S+)mm --marker (\S+)mm", out.read_text()).groups()
+    assert sizes == {"35mm": ("35", "26"), "70mm": ("70", "52")}
+    assert main(["charuco", "--square", "30mm", "--marker", "20mm", "-o", str(tmp_path / "c.svg"), "--quiet"]) == 0
+    assert "--marker 20mm" in (tmp_path / "c.svg").read_text()
 
 
 @pytest.mark.parametrize("what", ["square", "strip"])

@@ -366,3 +366,52 @@ def test_a_table_without_the_joints_columns_is_answered_with_init(tmp_path):
 def test_a_missing_calibration_is_answered_with_the_command_that_writes_one(tmp_path):
     with pytest.raises(AridcalError, match=r"calibration\.yaml: there is no such file; `aridcal identify"):
         SavedModel.load(tmp_path)
+
+
+def test_a_table_without_a_header_is_asked_about_once(tmp_path, capsys):
+    robot, q, p, R = ur10_rows()
+    plain = pd.DataFrame(np.hstack([q, p, R.as_quat()]))
+    plain.to_csv(tmp_path / "rows.csv", index=False, header=False)
+    words = [
+        "--urdf",
+        str(UR10),
+        "--measurements",
+        str(tmp_path / "rows.csv"),
+        "-o",
+        str(tmp_path / "campaign.yaml"),
+        "--quiet",
+    ]
+    assert aridcal.init.main(words) == 2
+    assert "--set table.names=NUMBER" in (asked := capsys.readouterr().err)
+    assert "1 = 6 joints, then x y z qx qy qz qw" in asked
+    assert aridcal.init.main([*words, "--set", "table.names=1"]) == 0
+    campaign = load_campaign(tmp_path / "campaign.yaml")
+    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
+    assert len(rows) == len(q)
+    np.testing.assert_allclose(rows.position[rows.as_read], p, atol=1e-12)
+    np.testing.assert_allclose(rows.readings[rows.as_read], q, atol=1e-12)
+
+
+@pytest.mark.parametrize("slip", ["sign", "exchanged"])
+def test_a_joint_that_counts_backwards_or_in_anothers_column_is_offered_mended(slip, tmp_path, capsys):
+    robot, q, p, R = ur10_rows()
+    written = q * np.array([1, 1, -1, 1, 1, 1]) if slip == "sign" else q[:, [1, 0, 2, 3, 4, 5]]
+    table = named(" ".join(robot.names), written) | named("x y z", p) | named("qx qy qz qw", R.as_quat())
+    pd.DataFrame(table).to_csv(tmp_path / "rows.csv", index=False)
+    words = [
+        "--urdf",
+        str(UR10),
+        "--measurements",
+        str(tmp_path / "rows.csv"),
+        "-o",
+        str(tmp_path / "campaign.yaml"),
+        "--quiet",
+    ]
+    assert aridcal.init.main(words) == 2
+    assert "--set reading=NUMBER" in (asked := capsys.readouterr().err) and "2 = as it stands" in asked
+    assert aridcal.init.main([*words, "--set", "reading=1"]) == 0
+    assert "MUCH" not in (tmp_path / "campaign.yaml").read_text()
+    rows = load_measurements(
+        load_campaign(tmp_path / "campaign.yaml"), robot.readings, robot.limits, robot.kinds, robot=robot
+    )
+    np.testing.assert_allclose(rows.readings[rows.as_read], q, atol=1e-12)

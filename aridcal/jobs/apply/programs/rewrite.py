@@ -39,7 +39,7 @@ from aridcal.system.reading.memory_release import give_back
 from aridcal.system.reading.regular_files import CALIBRATION, read_file
 from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import write_csv
-from aridcal.system.writing.whole_files import atomic_file, atomic_folder, check_home, claimed
+from aridcal.system.writing.whole_files import atomic_file, atomic_folder, claimed
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,6 @@ def _outputs(request: Request, loaded: LoadedProject) -> Outputs:
     if not single and language_of(out) is not None:
         raise OutputError(f"{out}: should be a folder: {len(loaded.names)} programs are to be written")
     if single and out.suffix:
-        check_home(out)
         outputs = Outputs((out,), out.with_name(f"{out.name}{SIDE_TABLE_ENDING}"), None)
     else:
         _check_outside(out, request.programs)
