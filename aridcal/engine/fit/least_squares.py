@@ -346,7 +346,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
         subset = identifiable(R, order, kept)
         if sorted(subset.kept) == kept:
             break
-    if groups and result.numbers < PLENTY * len(kept):
+    if any(groups) and result.numbers < PLENTY * len(kept):
         result, subset = _fit_few_rows(problem, order, groups, replace(result, theta=theta), subset)
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
