@@ -16,6 +16,7 @@ COMMANDS = {
     "identify": "calibrate: from a campaign to a calibrated URDF, a report and a 3D scene",
     "predict": "poses of the real target for rows of joint readings",
     "compensate": "joint commands that bring the real target to wanted poses",
+    "guide": "be led while measuring: is the row good, which pose is next, when is it enough",
     "design": "configurations to measure next, and how well the target is known then",
     "check": "is a calibration still good, from a few new rows, and if not, what moved",
     "recalibrate": "mend a calibration with a few rows after something moved",

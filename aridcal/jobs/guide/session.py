@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from aridcal.jobs.guide.row_facts import Oddity, in_other_units, not_renewed, od
 from aridcal.jobs.guide.row_reading import RowsSoFar, rows_so_far
 from aridcal.jobs.plan.beforehand import bodies, from_nothing
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates, offers
+from aridcal.jobs.plan.information import whitened
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.usual_effects import with_stated_effects, with_usual_effects
 from aridcal.system.errors import CampaignError, NotOfThisRobot
@@ -87,7 +88,22 @@ class Session:
         read: Them as rows.
         good: Which lines are in use, by their index.
         prior: What was known before any row.
+        region: Readings where the target is to be known, shape (R, columns).
+        rng: Draws configurations.
         posterior: What is known now; None while rows are too few to say where the frames are.
+        inflation: By how much rows are off more than predicted.
+        beside: How far predictions were off.
+        candidates: Configurations to choose from.
+        drawn_at: Lines when these were drawn.
+        drawn_with: Whether frames were known then.
+        repeated_at: Rows in use when a pose was last measured again.
+        rejected: Poses that the user does not want now.
+        proposed: The last pose that was proposed.
+        suspect: Line of a row that is off, to be settled by the next one.
+        slips: Line of the first row after each slip, and the frames that may have moved.
+        off: Lines of rows that are off for no reason that they show themselves.
+        stopped: True after the end.
+        fitted_rows: Rows of the last fit.
     """
 
     campaign: Campaign
@@ -107,7 +123,10 @@ class Session:
     repeated_at: int = 0
     rejected: tuple[np.ndarray, ...] = ()
     suspect: int | None = None
-    steps: tuple[int, ...] = ()
+    slips: tuple[tuple[int, tuple[str, ...]], ...] = ()
+    off: set[int] = field(default_factory=set)
+    proposed: np.ndarray | None = None
+    drawn_with: bool = False
     stopped: bool = False
     fitted_rows: int = 0
 
@@ -190,7 +209,7 @@ class Session:
         if stale:
             return [Oddity("stale", f"row {line}: {stale}", "wait until arm and instrument are still, and measure it again", True)]
         self.suspect = k
-        self._off.add(k)
+        self.off.add(k)
         again = self._witness(at, rows)
         what = self._thing_or_target(rows)
         do = (
@@ -288,7 +307,7 @@ class Session:
         for j in self.read.index[best.first : at + 1].tolist():
             self.good[j] = self.good[j] or self._judges(j)
         self.posterior = moved_by(self.posterior, more, LOOSE)
-        self.steps = (*self.steps, first)
+        self.slips = (*self.slips, (first, best.frames))
         self.suspect = None
         self._fit()
         words = {"world_base": "the tripod (or the robot's base)", "tip_target": "the target"}
@@ -305,12 +324,11 @@ class Session:
 
     def _judges(self, k: int) -> bool:
         """Whether a line says anything of slips: it is good, or off for no other reason."""
-        return self.good.get(k, False) or k in self._off
+        return self.good.get(k, False) or k in self.off
 
-    @property
-    def _off(self) -> set[int]:
-        """Lines that are off for no reason that the row itself shows."""
-        return self.__dict__.setdefault("_off_lines", set())
+    def serves(self, k: int) -> bool:
+        """Whether a line is a row for the full search, which judges by itself which rows are outliers."""
+        return self._judges(k)
 
     def _knows(self, row: Dataset) -> bool:
         """Whether the model knows all that a row refers to."""
@@ -390,7 +408,7 @@ class Session:
             k = int(self.read.index[used[worst]])
             line = self.table.line(k)
             self.good[k] = False
-            self._off.add(k)
+            self.off.add(k)
             changed = True
             events.append(
                 Alarm(
@@ -402,11 +420,11 @@ class Session:
             )
         for j in places[weight[places] == 0.0].tolist():
             k = int(self.read.index[j])
-            if k in self._off and k not in new:
+            if k in self.off and k not in new:
                 F, r = self.posterior.columns(rows.select(np.array([j])))
                 if verdict(self.posterior, F[0], r[0], self.inflation).probability > TURN_BACK:
                     self.good[k], changed = True, True
-                    self._off.discard(k)
+                    self.off.discard(k)
         if changed:
             self._fit()
         return events
@@ -477,31 +495,51 @@ class Session:
 
     def reject(self) -> list[Event]:
         """Another pose in place of the last one that was proposed."""
-        proposed = self.__dict__.get("_proposed")
-        if proposed is not None:
-            self.rejected = (*self.rejected, proposed)
+        if self.proposed is not None:
+            self.rejected = (*self.rejected, self.proposed)
         self.suspect = None
         self.repeated_at = sum(self.good.values())
         return [self._next(self._pool())]
 
+    def _now(self) -> Posterior:
+        """What is known; until frames are, where the poses so far were measured tells what they are worth."""
+        if self.posterior is not None or self.read.rows is None:
+            return self.posterior or self.prior
+        rows, weight = self._in_use()
+        readings = rows.readings[weight > 0.0]
+        titles = offers(self.prior.setup)
+        of = [next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0) for j in np.flatnonzero(weight)]
+        patterns = [titles.patterns[n] for n in of]
+        measured = Candidates(
+            readings,
+            np.ones_like(readings),
+            np.array(of, dtype=int),
+            np.concatenate([np.zeros(0, dtype=int), *patterns]),
+            np.repeat(np.arange(len(of)), [len(part) for part in patterns]),
+        )
+        if not len(of):
+            return self.prior
+        F = whitened(self.prior.setup, measured)
+        return self.prior.with_rows(F, np.zeros(F.shape[:2]))
+
+    def _is_of(self, rows: Dataset, j: int, title: Mapping[str, str]) -> bool:
+        """Whether a row measured what a title says."""
+        target = [] if rows.labels.target is None else [str(rows.labels.target[j])]
+        return set(title.values()) <= {*rows.labels.refers[j].tolist(), *target}
+
     def _pool(self) -> Pool:
         """Configurations to choose from."""
-        now = self.posterior or self.prior
+        now = self._now()
         count = len(self.table.rows)
-        if self.candidates is None or count >= self.drawn_at + POOL_LASTS or (self.posterior is not None) != self._drawn_after:
+        if self.candidates is None or count >= self.drawn_at + POOL_LASTS or (self.posterior is not None) != self.drawn_with:
             self.candidates = drawn(now, self.rng)
             self.drawn_at = count
-            self.__dict__["_drawn_after_begin"] = self.posterior is not None
+            self.drawn_with = self.posterior is not None
         return pool(now, self.candidates, self.region, self.here())
-
-    @property
-    def _drawn_after(self) -> bool:
-        """Whether the pool was drawn with frames where rows have them."""
-        return bool(self.__dict__.get("_drawn_after_begin"))
 
     def _next(self, some: Pool) -> Next:
         """The pose to measure next."""
-        now, rows, here = self.posterior or self.prior, self.read.rows, self.here()
+        now, rows, here = self._now(), self.read.rows, self.here()
         if self.suspect is not None and rows is not None:
             at = int(np.flatnonzero(self.read.index == self.suspect)[0])
             again = self._witness(at, rows)
@@ -561,14 +599,12 @@ class Session:
 
     def _labels_of(self, rows: Dataset, j: int) -> Mapping[str, str]:
         """What a row measured, by column, where there are several things."""
-        for title in offers((self.posterior or self.prior).setup).titles:
-            if title and set(title.values()) <= {*rows.labels.refers[j].tolist(), *([] if rows.labels.target is None else [str(rows.labels.target[j])])}:
-                return title
-        return {}
+        titles = offers((self.posterior or self.prior).setup).titles
+        return next((title for title in titles if title and self._is_of(rows, j, title)), {})
 
     def _said(self, readings: np.ndarray, why: str, labels: Mapping[str, str]) -> Next:
         """A pose in the campaign's columns and units."""
-        self.__dict__["_proposed"] = readings
+        self.proposed = readings
         settings = self.campaign.measurements
         named = {column_of(name, settings, self.robot.readings): word for name, word in labels.items()}
         return Next(self._in_columns(readings), why, named)

@@ -38,6 +38,13 @@ def write(path: Path, text: str) -> None:
     sync(path)
 
 
+def append(path: Path, text: str) -> None:
+    """Put a few lines behind those of a file, or into a new one."""
+    before("append", path)
+    with path.open("a", encoding="utf-8", newline="") as file:
+        file.write(text)
+
+
 def rename(source: Path, target: Path) -> None:
     """Move within a file system, in one step; a file or a link in its place goes."""
     before("rename", target)

@@ -1,0 +1,125 @@
+"""Be led while measuring: each row is judged as it comes, and the next pose, and the end, are told.
+
+The campaign's table is followed while any program appends to it; it may not be there yet. After each row stands whether it is good
+beside all before it, how well the target is known by now, and which pose to measure next: inside the limits, clear of the mounting
+plane, of `design: {keep_out: …}` and of the arm itself, on a straight way of the joints from the last one. It ends when the target is
+within --tolerance in 95 % of the region with 95 % confidence, or when more rows gain nothing; then follow the full search and its
+report.
+
+Lines on standard input: `reject` asks for another pose, `stop` ends it; all others are rows, appended to the table. --json prints one
+event a line (docs/guide.md). The page shows the same in large figures, to this computer only; over ssh, forward its port.
+
+Example:
+    aridcal guide campaign.yaml --tolerance 0.2mm
+    my_driver | aridcal guide campaign.yaml --json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+from rich.text import Text
+
+from aridcal.command_line import CommandParser, command, command_parser
+from aridcal.files.campaign import Campaign, load_campaign, nominal_robot
+from aridcal.files.measurement_settings import length_argument
+from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop
+from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
+from aridcal.system.errors import AridcalError
+from aridcal.system.progress import Screen, told_on
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.whole_files import claimed
+
+
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("guide", __doc__)
+    arguments.add_argument("campaign", type=path_argument, help="campaign.yaml; its table may not be there yet")
+    arguments.add_argument(
+        "--tolerance",
+        type=length_argument,
+        metavar="LENGTH",
+        help="when it is enough: 0.2mm for instance (default: the campaign's `tolerance`, else when more rows gain nothing)",
+    )
+    arguments.add_argument(
+        "--out", type=path_argument, metavar="DIR", help="folder of the report at the end (default: results/ beside the campaign)"
+    )
+    arguments.add_argument("--json", action="store_true", help="print events as JSON, one a line, and no words, to stdout")
+    arguments.add_argument(
+        "--page", action=argparse.BooleanOptionalAction, default=True, help="show a page in the browser (default: yes)"
+    )
+    return arguments
+
+
+def _main(arguments: argparse.Namespace) -> None:
+    from aridcal.jobs.guide.session import session
+    from aridcal.runs.guided_campaign import Incoming, followed
+
+    campaign = load_campaign(arguments.campaign)
+    tolerance = arguments.tolerance or (campaign.tolerance.position if campaign.tolerance else None)
+    if arguments.tolerance is not None:
+        campaign = campaign.with_tolerance(arguments.tolerance)
+    now = session(campaign, nominal_robot(campaign), tolerance)
+    incoming = Incoming()
+    incoming.listen(sys.stdin)
+    screen = Screen(stderr=arguments.json)
+    with ExitStack() as ends:
+        for events in followed(now, incoming):
+            for event in events:
+                if arguments.json:
+                    print(json.dumps(event.document(), allow_nan=False), flush=True)
+                else:
+                    screen.print(in_words(event), soft_wrap=True)
+        _finish(arguments, campaign, now, ends)
+
+
+def in_words(event: Event) -> Text:
+    """An event as a line for the terminal."""
+    match event:
+        case RowRead(row, ok, reasons):
+            return Text(f"row {row}: good") if ok and not reasons else Text(f"row {row}: {'good' if ok else 'NOT USED'}, {'; '.join(reasons)}")
+        case Alarm(row, what, words, do):
+            return Text(f"  {what.upper()}: {words}\n  do: {do}", style="bold")
+        case Known():
+            more = "" if event.more is None else f", about {event.more} more for the tolerance"
+            return Text(f"  {event.rows} rows: within {1e3 * event.position:.3g} mm, {1e3 * event.rotation:.3g} mrad{more}")
+        case Next():
+            joints = ", ".join(f"{name} {value:g}" for name, value in {**event.joints}.items())
+            measure = "".join(f", {name} {label}" for name, label in event.labels.items())
+            return Text(f"  next: {joints}{measure}\n        {event.why}")
+    lines = [f"stop, {event.why}: {event.words}", "check the result with these poses (`aridcal check`):"]
+    lines += ["  " + ", ".join(f"{name} {value:g}" for name, value in pose.items()) for pose in event.check]
+    return Text("\n".join(lines))
+
+
+def _finish(arguments: argparse.Namespace, campaign: Campaign, now: object, ends: ExitStack) -> None:
+    """The full search and its report."""
+    from aridcal.jobs.calibrate.job_inputs import read_job
+    from aridcal.jobs.calibrate.pipeline import identify
+    from aridcal.jobs.guide.session import Session
+    from aridcal.runs.guided_campaign import to_calibrate
+
+    assert isinstance(now, Session)
+    out: Path = arguments.out or arguments.campaign.parent / "results"
+    aside = Screen(stderr=True)
+    if now.posterior is None:
+        aside.say("no report: too few rows to calibrate from")
+        return
+    with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS), told_on(aside) as progress:
+        try:
+            job = read_job(to_calibrate(now), 0, progress)
+            write_folder(identify(job, progress=progress), out, progress)
+        except AridcalError as error:
+            aside.say(f"no report: {error}")
+            return
+    aside.say(f"report: {out / 'report.html'}")
+
+
+main = command(parser, _main)
+
+if __name__ == "__main__":
+    sys.exit(main())
