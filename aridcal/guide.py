@@ -19,20 +19,27 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from contextlib import ExitStack
+import time
 from pathlib import Path
 
 from rich.text import Text
 
 from aridcal.command_line import CommandParser, command, command_parser
-from aridcal.files.campaign import Campaign, load_campaign, nominal_robot
+from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.files.measurement_settings import length_argument
-from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop
+from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead
+from aridcal.jobs.guide.session import Session, session
+from aridcal.runs.guide_server import Board, GuideServer
+from aridcal.runs.guided_campaign import Incoming, followed, to_calibrate
+from aridcal.runs.local_pages import show
 from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.system.errors import AridcalError
 from aridcal.system.progress import Screen, told_on
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.whole_files import claimed
+
+LAST_LOOK = 1.0
+"""[s] after which an open page has seen the end: it asks three times in that."""
 
 
 def parser() -> CommandParser:
@@ -56,9 +63,6 @@ def parser() -> CommandParser:
 
 
 def _main(arguments: argparse.Namespace) -> None:
-    from aridcal.jobs.guide.session import session
-    from aridcal.runs.guided_campaign import Incoming, followed
-
     campaign = load_campaign(arguments.campaign)
     tolerance = arguments.tolerance or (campaign.tolerance.position if campaign.tolerance else None)
     if arguments.tolerance is not None:
@@ -66,15 +70,27 @@ def _main(arguments: argparse.Namespace) -> None:
     now = session(campaign, nominal_robot(campaign), tolerance)
     incoming = Incoming()
     incoming.listen(sys.stdin)
-    screen = Screen(stderr=arguments.json)
-    with ExitStack() as ends:
-        for events in followed(now, incoming):
-            for event in events:
-                if arguments.json:
-                    print(json.dumps(event.document(), allow_nan=False), flush=True)
-                else:
-                    screen.print(in_words(event), soft_wrap=True)
-        _finish(arguments, campaign, now, ends)
+    screen, aside = Screen(), Screen(stderr=True)
+    (table,) = campaign.measurements.files
+    board = Board(campaign.path.parent.resolve().name, tolerance, str(table))
+    board.note([])
+    if arguments.page:
+        server = GuideServer(board, incoming)
+        aside.say(f"{server.url}  (shows the same)")
+        show(server.url)
+    if not arguments.json:
+        screen.say(f"follows {table}; `reject` or `stop` and Enter, or Ctrl-C")
+    for events in followed(now, incoming):
+        board.note(events)
+        for event in events:
+            if arguments.json:
+                print(json.dumps(event.document(), allow_nan=False), flush=True)
+            else:
+                screen.print(in_words(event), soft_wrap=True)
+    report = _finish(arguments, now, aside)
+    if arguments.page:
+        board.note([], report)
+        time.sleep(LAST_LOOK)
 
 
 def in_words(event: Event) -> Text:
@@ -96,27 +112,23 @@ def in_words(event: Event) -> Text:
     return Text("\n".join(lines))
 
 
-def _finish(arguments: argparse.Namespace, campaign: Campaign, now: object, ends: ExitStack) -> None:
-    """The full search and its report."""
-    from aridcal.jobs.calibrate.job_inputs import read_job
+def _finish(arguments: argparse.Namespace, now: Session, aside: Screen) -> str:
+    """The full search and its report; returns where that is, or why there is none."""
+    from aridcal.jobs.calibrate.job_inputs import read_job  # slow to load: only at the end
     from aridcal.jobs.calibrate.pipeline import identify
-    from aridcal.jobs.guide.session import Session
-    from aridcal.runs.guided_campaign import to_calibrate
 
-    assert isinstance(now, Session)
     out: Path = arguments.out or arguments.campaign.parent / "results"
-    aside = Screen(stderr=True)
     if now.posterior is None:
-        aside.say("no report: too few rows to calibrate from")
-        return
-    with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS), told_on(aside) as progress:
-        try:
-            job = read_job(to_calibrate(now), 0, progress)
-            write_folder(identify(job, progress=progress), out, progress)
-        except AridcalError as error:
-            aside.say(f"no report: {error}")
-            return
-    aside.say(f"report: {out / 'report.html'}")
+        words = "no report: too few rows to calibrate from"
+    else:
+        with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS), told_on(aside) as progress:
+            try:
+                write_folder(identify(read_job(to_calibrate(now), 0, progress), progress=progress), out, progress)
+                words = f"report: {out / 'report.html'}"
+            except AridcalError as error:
+                words = f"no report: {error}"
+    aside.say(words)
+    return words
 
 
 main = command(parser, _main)

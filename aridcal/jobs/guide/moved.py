@@ -34,11 +34,13 @@ class Moved:
         first: Number of the first row after it, among those looked at.
         frames: Those that may have: one, or several that the rows do not tell apart.
         odds: Logarithm of the odds against all other explanations.
+        size: By how much, of :data:`SIZES`, [m] and [rad].
     """
 
     first: int
     frames: tuple[str, ...]
     odds: float
+    size: float
 
 
 def moved(
@@ -63,19 +65,20 @@ def moved(
             which[ends[k] : ends[k + 1]] = 1.0
         densities = [_log_density(e, spread + np.diag(size**2 * which)) for size in BAD_SIZES]
         bad.append(_mean(densities) + len(rows) * float(np.log(IS_BAD)))
-    of_frame = {
-        name: _mean([_log_density(e, spread + size**2 * G @ G.T) for size in SIZES]) + float(np.log(MOVES))
+    of_sizes = {
+        name: [_log_density(e, spread + size**2 * G @ G.T) for size in SIZES]
         for name, G in by_frame.items()
         if np.any(G)
     }
-    if not of_frame:
+    if not of_sizes:
         return None
+    of_frame = {name: _mean(densities) + float(np.log(MOVES)) for name, densities in of_sizes.items()}
     best = max(of_frame.values())
     odds = best - max(nothing, *bad)
     if odds < SURE:
         return None
     frames = sorted((name for name, value in of_frame.items() if value > best - SURE), key=lambda n: -of_frame[n])
-    return Moved(first, tuple(frames), odds)
+    return Moved(first, tuple(frames), odds, max(SIZES[int(np.argmax(of_sizes[name]))] for name in frames))
 
 
 def _log_density(e: np.ndarray, S: np.ndarray) -> float:

@@ -41,7 +41,11 @@ NOISE_WEIGHT = 4.0
 """Numbers for which the noise of a good instrument counts where none is declared."""
 
 FEWEST_TO_BEGIN = 3
-"""Rows from which frames can be found in closed form: two poses leave a turn open."""
+"""Configurations from which frames can be found in closed form: two poses leave a turn open."""
+
+SPARE = 6
+"""Numbers beyond the unknowns of the frames that must be measured to begin: as many as one pose has. With fewer, other frames explain
+three places as well."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,10 @@ def begun(campaign: Campaign, robot: Robot, setup: PlanSetup, rows: Dataset) -> 
     if len(np.unique(rows.repeats.configuration)) < FEWEST_TO_BEGIN:
         return None
     question = replace(campaign.question, constants="none", effects=(), sought=())
+    frames = [c for c in setup.model.coefficients if c.where in FRAMES and c.basis.constant]
+    sizes = np.array([channel.size for channel in rows.channels])
+    if float((rows.measures @ sizes).sum()) < len(frames) + SPARE:
+        return None
     try:
         geometry = fit_constants(question, robot, rows, station_labels(question, rows)).geometric
     except NotOfThisRobot:
@@ -149,15 +157,14 @@ def begun(campaign: Campaign, robot: Robot, setup: PlanSetup, rows: Dataset) -> 
     except (AridcalError, np.linalg.LinAlgError):  # these rows leave something open: more will not
         return None
     known = geometry.model
-    frames = tuple(c for c in known.coefficients)
     others = [k for k, c in enumerate(setup.model.coefficients) if c.name not in set(known.names)]
     others = [k for k in others if setup.model.coefficients[k].where not in FRAMES]
-    coefficients = (*frames, *(setup.model.coefficients[k] for k in others))
+    coefficients = (*known.coefficients, *(setup.model.coefficients[k] for k in others))
     return replace(
         setup,
         model=replace(known.with_coefficients(coefficients), around=replace(setup.model.around, sights=known.around.sights)),
         theta=np.zeros(len(coefficients)),
-        prior=np.r_[np.full(len(frames), np.inf), setup.prior[others]],
+        prior=np.r_[np.full(len(known.coefficients), np.inf), setup.prior[others]],
         patterns=_now(patterns_of(rows)),
     )
 

@@ -12,14 +12,13 @@ from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, ROW_ORDE
 from aridcal.engine.instruments.channels import columns
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.workspace import LOOSE
 from aridcal.files.campaign import Campaign
 from aridcal.files.counting import counting
 from aridcal.files.orientations import column_of
 from aridcal.jobs.guide.accuracy import DRAWS, Beside, bound
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop, Why
 from aridcal.jobs.guide.growing_table import GrowingTable
-from aridcal.jobs.guide.judgement import Inflation, Verdict, left_out, verdict
+from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, left_out, verdict
 from aridcal.jobs.guide.moved import Moved, moved
 from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by
 from aridcal.jobs.guide.proposals import (
@@ -71,6 +70,13 @@ and again, so that it must be rarer than :data:`FALSE_ALARM`."""
 
 TURN_BACK = 0.05
 """Probability from which on a row that was off agrees with the others after all."""
+
+SLIPPED = 3.0
+"""Times the likeliest size of a slip that each of its six numbers may have."""
+
+YOUNG = 60.0
+"""Numbers measured, ten poses, up to which a row that is off may be good, and the frames found before it wrong: they are sought again
+with it."""
 
 CHECKS = 5
 """Poses that check a calibration."""
@@ -172,14 +178,16 @@ class Session:
             odd_ones += more
             bad = any(odd.bad for odd in more)
         self.good[k] = not bad
-        events: list[Event] = [RowRead(line, not bad, tuple(odd.words for odd in odd_ones))]
+        slip = [] if self.posterior is None else self._moved(at, rows)
+        if slip:  # then the row is good after all
+            odd_ones = [odd for odd in odd_ones if odd.what != "outlier"]
+        events: list[Event] = [RowRead(line, self.good[k], tuple(odd.words for odd in odd_ones))]
         events += [Alarm(line, odd.what, odd.words, odd.do) for odd in odd_ones]
+        events += slip
         if self.posterior is None:
             events += self._begin(line)
-        else:
-            events += self._moved(k, at, rows)
-            if sum(self.good.values()) > GROWN * self.fitted_rows:
-                self._fit()
+        elif sum(self.good.values()) > GROWN * self.fitted_rows:
+            self._fit()
         return events
 
     def _beside_others(self, k: int, at: int, rows: Dataset) -> list[Oddity]:
@@ -192,6 +200,8 @@ class Session:
         judged = verdict(self.posterior, F[0], r[0], self.inflation)
         if not judged.off:
             self._add(F, r, judged)
+            return []
+        if self._begun_wrong(k):
             return []
         line = self.table.line(k)
         for words, other in in_other_units(rows, at):
@@ -218,6 +228,25 @@ class Session:
             else f"measure it again: if it is off again, {what} moved"
         )
         return [Oddity("outlier", f"row {line} is off by {self._size(judged)}", do, True)]
+
+    def _begun_wrong(self, k: int) -> bool:
+        """Whether frames sought again with an early row explain it and all before it; they are then gone on with."""
+        before, rows_of_fit, good = self.posterior, self.fitted_rows, dict(self.good)
+        used = [j for j, is_good in self.good.items() if is_good or j in self.off]
+        assert before is not None
+        if len(used) * sum(channel.size for channel in before.setup.patterns.channels) > YOUNG or self.slips:
+            return False
+        self.good = good | dict.fromkeys([*used, k], True)
+        self.posterior = None
+        self._begin(0)
+        if self.posterior is not None:
+            rows, weight = self._in_use()
+            F, r = self.posterior.columns(rows.select(weight > 0.0))
+            if left_out(self.posterior, F, r, self.inflation).min() > FALSE_ALARM:
+                self.off -= {*used, k}
+                return True
+        self.posterior, self.fitted_rows, self.good = before, rows_of_fit, good
+        return False
 
     def _add(self, F: np.ndarray, r: np.ndarray, judged: Verdict) -> None:
         """Let a good row count."""
@@ -256,7 +285,7 @@ class Session:
         far = np.abs(rows.readings[earlier] - rows.readings[at]).max(axis=1)
         return int(self.read.index[earlier[int(np.argmin(far))]])
 
-    def _moved(self, k: int, at: int, rows: Dataset) -> list[Event]:
+    def _moved(self, at: int, rows: Dataset) -> list[Event]:
         """Look whether a frame moved within the last rows."""
         assert self.posterior is not None
         setup, things = self.posterior.setup, self.posterior.things
@@ -306,7 +335,7 @@ class Session:
         ]
         for j in self.read.index[best.first : at + 1].tolist():
             self.good[j] = self.good[j] or self._judges(j)
-        self.posterior = moved_by(self.posterior, more, LOOSE)
+        self.posterior = moved_by(self.posterior, more, SLIPPED * best.size)
         self.slips = (*self.slips, (first, best.frames))
         self.suspect = None
         self._fit()
