@@ -30,9 +30,9 @@ from aridcal.files.measurement_settings import length_argument
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead
 from aridcal.jobs.guide.session import Session, session
 from aridcal.runs.guide_server import Board, GuideServer
-from aridcal.runs.guided_campaign import Incoming, followed, to_calibrate
+from aridcal.runs.guided_campaign import Incoming, calibrated, followed
 from aridcal.runs.local_pages import show
-from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
+from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS
 from aridcal.system.errors import AridcalError
 from aridcal.system.progress import Screen, told_on
 from aridcal.system.reading.user_names import path_argument
@@ -114,16 +114,13 @@ def in_words(event: Event) -> Text:
 
 def _finish(arguments: argparse.Namespace, now: Session, aside: Screen) -> str:
     """The full search and its report; returns where that is, or why there is none."""
-    from aridcal.jobs.calibrate.job_inputs import read_job  # slow to load: only at the end
-    from aridcal.jobs.calibrate.pipeline import identify
-
     out: Path = arguments.out or arguments.campaign.parent / "results"
     if now.posterior is None:
         words = "no report: too few rows to calibrate from"
     else:
         with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS), told_on(aside) as progress:
             try:
-                write_folder(identify(read_job(to_calibrate(now), 0, progress), progress=progress), out, progress)
+                calibrated(now, out, progress)
                 words = f"report: {out / 'report.html'}"
             except AridcalError as error:
                 words = f"no report: {error}"

@@ -6,15 +6,20 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
+
+import numpy as np
 
 from aridcal.files.campaign import Campaign, EffectDeclaration, Moment
 from aridcal.jobs.guide.events import Event
 from aridcal.jobs.guide.growing_table import content_of
 from aridcal.jobs.guide.session import Session
+from aridcal.jobs.guide.shown_effects import shown_effects
+from aridcal.runs.result_folder import write_folder
 from aridcal.system.errors import MeasurementError
+from aridcal.system.progress import Progress
 from aridcal.system.writing import disk
 from aridcal.system.writing.whole_files import atomic_file
 
@@ -128,7 +133,7 @@ def _append(path: Path, line: str) -> None:
 
 
 def to_calibrate(session: Session) -> Campaign:
-    """The campaign that the full search is for: the rows in use, and what moved between them as declared effects.
+    """The campaign that the full search is for: the rows in use; what moved between them, and what they show, as declared effects.
 
     Where the table holds exactly these rows it is that table; else a table beside it, ``NAME.good.csv``, holds them.
 
@@ -150,4 +155,20 @@ def to_calibrate(session: Session) -> Campaign:
     for first, frames in session.slips:
         line = next((table.first + number[k] for k in sorted(number) if k >= first), None)
         shifts += [EffectDeclaration(kind="shift", where=where, at=Moment(row=line)) for where in frames if line]
-    return campaign.model_copy(update={"effects": (*campaign.effects, *shifts)}) if shifts else campaign
+    shown = () if session.posterior is None or campaign.effects else shown_effects(session.posterior)
+    return campaign.model_copy(update={"effects": (*campaign.effects, *shown, *shifts)})
+
+
+def calibrated(session: Session, out: Path, progress: Progress) -> None:
+    """Make the full search from all rows in use, and write its folder: the poses that check it are the rows held out.
+
+    Raises:
+        AridcalError: the rows cannot be calibrated from, or the folder cannot be written.
+    """
+    from aridcal.jobs.calibrate.job_inputs import read_job  # slow to load: only at the end
+    from aridcal.jobs.calibrate.pipeline import identify
+
+    job = read_job(to_calibrate(session), 0, progress)
+    if not job.rows.origin.split_given:
+        job = replace(job, rows=replace(job.rows, test=np.zeros(len(job.rows), dtype=bool)))
+    write_folder(identify(job, progress=progress), out, progress)

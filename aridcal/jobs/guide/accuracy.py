@@ -51,21 +51,23 @@ class Beside:
         return np.sqrt(np.maximum(squares - self.allowed / self.numbers, 0.0))
 
 
-def bound(columns: np.ndarray, covariance: np.ndarray, beyond: np.ndarray) -> float:
+def bound(columns: np.ndarray, covariance: np.ndarray, beyond: np.ndarray, off: np.ndarray | None = None) -> float:
     """What 95 % of a region keep within with 95 % confidence, [m] or [rad].
 
     Args:
         columns: How the target moves with the unknowns at R places, shape (R, 3, D).
         covariance: Of the unknowns, shape (D, D).
         beyond: Standard deviation along an axis of what goes beyond it, drawn, shape (draws,).
+        off: What the model that will be used differs by in the unknowns, shape (D,); None: by nothing.
     """
     rng = np.random.default_rng(0)
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    off = columns.reshape(-1, len(root)) @ (root @ rng.standard_normal((len(root), len(beyond))))
-    off = off.reshape(len(columns), AXES, -1)
-    direction = rng.standard_normal(off.shape)
+    unknowns = root @ rng.standard_normal((len(root), len(beyond)))
+    unknowns += 0.0 if off is None else off[:, None]
+    errors = (columns.reshape(-1, len(root)) @ unknowns).reshape(len(columns), AXES, -1)
+    direction = rng.standard_normal(errors.shape)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    off += direction * np.sqrt(AXES) * beyond * rng.standard_normal((len(columns), 1, len(beyond)))
-    lengths = np.quantile(np.linalg.norm(off, axis=1), SHARE, axis=0)
+    errors += direction * np.sqrt(AXES) * beyond * rng.standard_normal((len(columns), 1, len(beyond)))
+    lengths = np.quantile(np.linalg.norm(errors, axis=1), SHARE, axis=0)
     return float(np.quantile(lengths, CONFIDENCE))

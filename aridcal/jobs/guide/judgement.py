@@ -87,7 +87,7 @@ def verdict(posterior: Posterior, F: np.ndarray, r: np.ndarray, inflation: Infla
     return Verdict(error, spread, square, float(f.sf(square / len(r), len(r), freedom)))
 
 
-def left_out(posterior: Posterior, F: np.ndarray, r: np.ndarray, inflation: Inflation) -> np.ndarray:
+def beside_others(posterior: Posterior, F: np.ndarray, r: np.ndarray, inflation: Inflation) -> np.ndarray:
     """Probability of each row in use to be off as much as it is beside all others, shape (N,).
 
     Args:

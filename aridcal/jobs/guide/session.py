@@ -18,7 +18,7 @@ from aridcal.files.orientations import column_of
 from aridcal.jobs.guide.accuracy import DRAWS, Beside, bound
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop, Why
 from aridcal.jobs.guide.growing_table import GrowingTable
-from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, left_out, verdict
+from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, beside_others, verdict
 from aridcal.jobs.guide.moved import Moved, moved
 from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by
 from aridcal.jobs.guide.proposals import (
@@ -35,6 +35,7 @@ from aridcal.jobs.guide.proposals import (
 )
 from aridcal.jobs.guide.row_facts import Oddity, in_other_units, not_renewed, oddities, refusal
 from aridcal.jobs.guide.row_reading import RowsSoFar, rows_so_far
+from aridcal.jobs.guide.shown_effects import left_out
 from aridcal.jobs.plan.beforehand import bodies, from_nothing
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates, offers
 from aridcal.jobs.plan.information import whitened
@@ -242,7 +243,7 @@ class Session:
         if self.posterior is not None:
             rows, weight = self._in_use()
             F, r = self.posterior.columns(rows.select(weight > 0.0))
-            if left_out(self.posterior, F, r, self.inflation).min() > FALSE_ALARM:
+            if beside_others(self.posterior, F, r, self.inflation).min() > FALSE_ALARM:
                 self.off -= {*used, k}
                 return True
         self.posterior, self.fitted_rows, self.good = before, rows_of_fit, good
@@ -431,7 +432,7 @@ class Session:
         events: list[Event] = []
         changed = False
         F, r = self.posterior.columns(rows.select(used))
-        probability = left_out(self.posterior, F, r, self.inflation)
+        probability = beside_others(self.posterior, F, r, self.inflation)
         worst = int(np.argmin(probability)) if len(used) else 0
         if len(used) and probability[worst] < BELATED:
             k = int(self.read.index[used[worst]])
@@ -469,8 +470,9 @@ class Session:
         rng = np.random.default_rng(0)
         beyond = self.beside.drawn(DRAWS, rng)
         covariance = self.inflation.variance * self.posterior.covariance
-        position = bound(moves[:, :3], covariance, beyond)
-        rotation = bound(moves[:, 3:], covariance, np.zeros(DRAWS))
+        off = left_out(self.posterior)
+        position = bound(moves[:, :3], covariance, beyond, off)
+        rotation = bound(moves[:, 3:], covariance, np.zeros(DRAWS), off)
         return Known(count, position, rotation, self._more(count, position, bound(moves[:, :3], 0.0 * covariance, beyond)))
 
     def _more(self, count: int, position: float, floor: float) -> int | None:
