@@ -12,13 +12,13 @@ from aridcal.jobs.plan.configurations import Candidates, allowed, draw_candidate
 from aridcal.jobs.plan.information import Told, target_columns, together, whitened
 from aridcal.jobs.plan.row_exchange import Choice, rms_sigma, updated, worth_of
 
-POOL = 250
+POOL = 600
 """Configurations to choose from: the best of as many is within some per cent of the best of all."""
 
 PLACES = 100
 """Places of the region: their mean is known to a tenth, and the same ones count for every choice."""
 
-AS_GOOD = 0.9
+AS_GOOD = 0.97
 """Share of the best worth from which the nearest pose is taken: the way there costs time, too."""
 
 TURN_STEP, SLIDE_STEP = 0.15, 0.05

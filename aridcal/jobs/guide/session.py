@@ -32,6 +32,7 @@ from aridcal.jobs.guide.proposals import (
     told_by,
     worth,
     PLACES,
+    POOL,
 )
 from aridcal.jobs.guide.row_facts import Oddity, in_other_units, not_renewed, oddities, refusal
 from aridcal.jobs.guide.row_reading import RowsSoFar, rows_so_far
@@ -53,7 +54,7 @@ REPEAT_UNDECLARED, REPEAT_DECLARED = 8, 25
 """Rows after which an earlier pose is measured again: where the noise is not declared it is told by such rows alone; elsewhere
 they say now and then that nothing moved."""
 
-POOL_LASTS = 20
+POOL_LASTS = 10
 """Rows after which other configurations are drawn."""
 
 HARDLY = 0.05
@@ -689,7 +690,7 @@ def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Sessio
         )
     rng = np.random.default_rng(0)
     setup = from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
-    candidates = draw_candidates(setup, 250, 1, rng)
+    candidates = draw_candidates(setup, POOL, 1, rng)
     setup = with_stated_effects(setup, candidates)
     if not campaign.effects:
         setup = with_usual_effects(setup, candidates)

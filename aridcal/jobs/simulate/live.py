@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +14,7 @@ from aridcal.engine.rows.repeats import tolerances
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import Simulation, simulate, table_of, with_noise
 from aridcal.jobs.simulate.true_effects import ROW_PERIOD
-from aridcal.system.errors import CampaignError
+from aridcal.system.errors import CampaignError, MeasurementError, shortened
 
 
 @dataclass
@@ -65,3 +66,23 @@ def live_arm(scenario: Scenario) -> LiveArm:
     simulation = simulate(scenario)
     assert simulation.model is not None
     return LiveArm(simulation, simulation.model, np.random.default_rng([scenario.truth.seed, 1]))
+
+
+def asked(arm: LiveArm, line: str) -> pd.DataFrame | None:
+    """Measure what a line of `aridcal guide --json` asks for; None where it asks for nothing.
+
+    Raises:
+        MeasurementError: it is no such line, or its joints are not this arm's.
+    """
+    try:
+        event = json.loads(line)
+        if event["event"] != "next":
+            return None
+        settings, robot = arm.simulation.scenario.measurements, arm.simulation.robot
+        names = [settings.columns.get(name, name) for name in robot.readings]
+        readings = np.array([float(event["joints"][name]) for name in names])
+    except (ValueError, TypeError, KeyError):
+        raise MeasurementError(
+            f"standard input: {shortened(line.strip())!r} is no event of this arm; pipe `aridcal guide DIR/campaign.yaml --json` here"
+        ) from None
+    return arm.measured(readings)  # a scenario's table is in SI
