@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import betainc
 
 from aridcal.jobs.guide.posterior import Posterior
 
@@ -74,17 +75,20 @@ class Inflation:
         )
 
 
+def exceeded(square: float | np.ndarray, numbers: int | np.ndarray, freedom: float) -> np.ndarray:
+    """Probability of the F distribution beyond a chi² over its numbers (DLMF 8.17.5 and 8.17.4)."""
+    return np.asarray(betainc(freedom / 2.0, np.asarray(numbers) / 2.0, freedom / (freedom + square)))
+
+
 def verdict(posterior: Posterior, F: np.ndarray, r: np.ndarray, inflation: Inflation) -> Verdict:
     """Judge a row by its columns (m, D) and residual (m,), numbers that it does not measure left out."""
-    from scipy.stats import f  # slow to load
-
     measured = np.any(F != 0.0, axis=1)
     F, r = F[measured], r[measured]
     error = r - F @ posterior.step
     spread = inflation.variance * (np.eye(len(r)) + F @ posterior.covariance @ F.T)
     square = float(error @ np.linalg.solve(spread, error))
     freedom = PREDICTED_WEIGHT + inflation.numbers
-    return Verdict(error, spread, square, float(f.sf(square / len(r), len(r), freedom)))
+    return Verdict(error, spread, square, float(exceeded(square, len(r), freedom)))
 
 
 def beside_others(posterior: Posterior, F: np.ndarray, r: np.ndarray, inflation: Inflation) -> np.ndarray:
@@ -96,8 +100,6 @@ def beside_others(posterior: Posterior, F: np.ndarray, r: np.ndarray, inflation:
         r: Their residuals, shape (N, m).
         inflation: See :class:`Inflation`.
     """
-    from scipy.stats import f  # as above
-
     N, m, _ = F.shape
     own = np.einsum("nid,de,nje->nij", F, posterior.covariance, F, optimize=True)
     error = r - F @ posterior.step
@@ -107,4 +109,4 @@ def beside_others(posterior: Posterior, F: np.ndarray, r: np.ndarray, inflation:
     along = np.einsum("nij,ni->nj", vectors, error)
     square = np.sum(along**2 / np.maximum(values, 1e-9), axis=1) / inflation.variance
     count = np.any(F != 0.0, axis=2).sum(axis=1)
-    return np.asarray(f.sf(square / np.maximum(count, 1), np.maximum(count, 1), PREDICTED_WEIGHT + inflation.numbers))
+    return exceeded(square, np.maximum(count, 1), PREDICTED_WEIGHT + inflation.numbers)

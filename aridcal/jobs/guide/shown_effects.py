@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import gammaincc
 
 from aridcal.files.campaign import EffectDeclaration
 from aridcal.jobs.guide.posterior import Posterior
@@ -44,8 +45,6 @@ def left_out(posterior: Posterior) -> np.ndarray:
 
 def _suspects(posterior: Posterior) -> list[_Suspect]:
     """Suspects of joints that turn, harmonics order by order."""
-    from scipy.stats import chi2  # slow to load
-
     coefficients = posterior.setup.model.coefficients
     things, covariance = posterior.things, posterior.covariance
     theta = posterior.setup.theta + posterior.step[things:]
@@ -69,7 +68,7 @@ def _suspects(posterior: Posterior) -> list[_Suspect]:
             declaration = EffectDeclaration(kind=kind, where=where)
         u = things + np.array(some)
         square = float(theta[some] @ np.linalg.solve(covariance[np.ix_(u, u)], theta[some]))
-        suspects.append(_Suspect(declaration, some, bool(chi2.sf(square, len(some)) < SHOWN)))
+        suspects.append(_Suspect(declaration, some, bool(gammaincc(len(some) / 2.0, square / 2.0) < SHOWN)))
     return suspects
 
 
