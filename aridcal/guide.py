@@ -72,7 +72,7 @@ def _main(arguments: argparse.Namespace) -> None:
     incoming.listen(sys.stdin)
     screen, aside = Screen(), Screen(stderr=True)
     (table,) = campaign.measurements.files
-    board = Board(campaign.path.parent.resolve().name, tolerance, str(table))
+    board = Board(campaign.path.parent.resolve().name, tolerance, str(table), now.units)
     board.note([])
     if arguments.page:
         server = GuideServer(board, incoming)

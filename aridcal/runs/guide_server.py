@@ -33,11 +33,13 @@ class Board:
         title: Of the campaign.
         tolerance: [m]; None where there is none.
         table: The file that is followed.
+        units: Of the joints' columns.
     """
 
     title: str
     tolerance: float | None
     table: str
+    units: dict[str, str] = field(default_factory=dict)
     rows: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=LAST_ROWS))
     alarms: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=LAST_ALARMS))
     known: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_POINTS))
@@ -68,6 +70,7 @@ class Board:
                 "number": self.number,
                 "tolerance_mm": None if self.tolerance is None else 1e3 * self.tolerance,
                 "table": self.table,
+                "units": self.units,
                 "rows": list(self.rows),
                 "alarms": list(self.alarms),
                 "known": list(self.known),

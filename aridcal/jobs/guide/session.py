@@ -80,6 +80,9 @@ YOUNG = 60.0
 """Numbers measured, ten poses, up to which a row that is off may be good, and the frames found before it wrong: they are sought again
 with it."""
 
+WITNESSES = 12
+"""Work: Earlier rows near a pose to which a way is sought, to measure one of them again."""
+
 CHECKS = 5
 """Poses that check a calibration."""
 
@@ -227,7 +230,7 @@ class Session:
         do = (
             f"measure row {self.table.line(again)} again: if it is off, too, {what} moved; if not, row {line} was a bad reading"
             if again is not None
-            else f"measure it again: if it is off again, {what} moved"
+            else f"measure the next pose: if it is off, too, {what} moved; if not, row {line} was a bad reading"
         )
         return [Oddity("outlier", f"row {line} is off by {self._size(judged)}", do, True)]
 
@@ -280,12 +283,14 @@ class Session:
         return "the board or the camera" if kind.images else "the instrument or the target"
 
     def _witness(self, at: int, rows: Dataset) -> int | None:
-        """The line of an earlier good row near this pose, which may be measured again; None if there is none."""
+        """The line of an earlier good row that the arm gets to from this pose, to be measured again; None if there is none."""
         earlier = [j for j in range(at) if self.good.get(int(self.read.index[j]))]
-        if not earlier:
-            return None
-        far = np.abs(rows.readings[earlier] - rows.readings[at]).max(axis=1)
-        return int(self.read.index[earlier[int(np.argmin(far))]])
+        earlier.sort(key=lambda j: float(np.abs(rows.readings[j] - rows.readings[at]).max()))
+        now = self._now()
+        for j in earlier[:WITNESSES]:
+            if reaches(now, rows.readings[at], rows.readings[j], 0):
+                return int(self.read.index[j])
+        return None
 
     def _moved(self, at: int, rows: Dataset) -> list[Event]:
         """Look whether a frame moved within the last rows."""
@@ -575,11 +580,11 @@ class Session:
         if self.suspect is not None and rows is not None:
             at = int(np.flatnonzero(self.read.index == self.suspect)[0])
             again = self._witness(at, rows)
-            if again is not None and here is not None:
+            if again is not None:
                 j = int(np.flatnonzero(self.read.index == again)[0])
-                if reaches(now, here, rows.readings[j], 0):
-                    why = f"row {self.table.line(again)} again: is row {self.table.line(self.suspect)} a bad reading, or did something move?"
-                    return self._said(rows.readings[j], why, self._labels_of(rows, j))
+                off = self.table.line(self.suspect)
+                why = f"row {self.table.line(again)} again: is row {off} a bad reading, or did something move?"
+                return self._said(rows.readings[j], why, self._labels_of(rows, j))
         repeat = self._repeat(now)
         if repeat is not None and rows is not None:
             why = f"row {self.table.line(int(self.read.index[repeat]))} again: it tells the noise, and that nothing moved"
@@ -647,6 +652,14 @@ class Session:
         cells = counting(settings, self.robot.readings, self.robot.kinds).cells(readings[None])[0]
         names = [settings.columns.get(name, name) for name in self.robot.readings]
         return {name: round(float(cell), 6) for name, cell in zip(names, cells, strict=True)}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the joints' columns."""
+        settings = self.campaign.measurements
+        names = [settings.columns.get(name, name) for name in self.robot.readings]
+        usual = [settings.units.length if kind == "prismatic" else settings.units.angle for kind in self.robot.kinds]
+        return {name: settings.units.columns.get(name, unit) for name, unit in zip(names, usual, strict=True)}
 
     def checks(self) -> tuple[Mapping[str, float], ...]:
         """Poses that check the calibration: far from each other, and from all that was measured."""

@@ -44,7 +44,7 @@
     put("polyline", { points: points.map((k) => `${x(k.rows)},${y(k.position_mm)}`).join(" "), fill: "none", stroke: "#0072b2", "stroke-width": 3 });
     if (tolerance) {
       put("line", { x1: 60, x2: 580, y1: y(tolerance), y2: y(tolerance), stroke: "#1d242b", "stroke-dasharray": "8 5", "stroke-width": 2 });
-      put("text", { x: 580, y: y(tolerance) - 6, "text-anchor": "end" }, `tolerance ${tolerance} mm`);
+      put("text", { x: 580, y: y(tolerance) + 16, "text-anchor": "end" }, `tolerance ${tolerance} mm`);
     }
     put("text", { x: 60, y: 222 }, `${first} rows`);
     put("text", { x: 580, y: 222, "text-anchor": "end" }, `${last} rows`);
@@ -72,7 +72,7 @@
       by("joints").replaceChildren(
         ...Object.entries(joints).map(([name, value]) => {
           const pair = document.createElement("div");
-          pair.append(made("dt", name), made("dd", typeof value === "number" ? String(Number(value.toFixed(4))) : value));
+          pair.append(made("dt", state.units[name] ? `${name}, ${state.units[name]}` : name), made("dd", typeof value === "number" ? String(Number(value.toFixed(4))) : value));
           return pair;
         }),
       );
@@ -88,7 +88,7 @@
       by("stop").replaceChildren(
         made("h2", `■ Enough: ${state.stop.why}`),
         made("p", state.stop.words),
-        made("p", state.report ? `Report: ${state.report}` : "The full search is running."),
+        made("p", state.report || "The full search is running."),
         made("p", "Poses that check the result:"),
         list,
       );
