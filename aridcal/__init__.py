@@ -48,7 +48,20 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from aridcal.api import Guided, PlannedPoses, calibrate, compare, fleet, guide, history, load, merge, plan, propose, study
+    from aridcal.api import (
+        Guided,
+        PlannedPoses,
+        calibrate,
+        compare,
+        fleet,
+        guide,
+        history,
+        load,
+        merge,
+        plan,
+        propose,
+        study,
+    )
     from aridcal.calibration import Calibration
     from aridcal.files.campaign import Campaign
     from aridcal.system.errors import AridcalError

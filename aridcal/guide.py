@@ -1,13 +1,14 @@
 """Be led while measuring: each row is judged as it comes, and the next pose, and the end, are told.
 
-The campaign's table is followed while any program appends to it; it may not be there yet. After each row stands whether it is good
-beside all before it, how well the target is known by now, and which pose to measure next: inside the limits, clear of the mounting
-plane, of `design: {keep_out: …}` and of the arm itself, on a straight way of the joints from the last one. It ends when the target is
-within --tolerance in 95 % of the region with 95 % confidence, or when more rows gain nothing; then follow the full search and its
-report.
+The campaign's table is followed while any program appends to it; it may not be there yet. After each row stands whether it is
+good beside all before it, how well the target is known by now, and which pose to measure next: inside the limits, clear of the
+mounting plane, of `design: {keep_out: …}` and of the arm itself, on a straight way of the joints from the last one. It ends when
+the target is within --tolerance in 95 % of the region with 95 % confidence, or when more rows gain nothing; then follow the full
+search and its report.
 
-Lines on standard input: `reject` asks for another pose, `stop` ends it; all others are rows, appended to the table. --json prints one
-event a line (docs/guide.md). The page shows the same in large figures, to this computer only; over ssh, forward its port.
+Lines on standard input: `reject` asks for another pose, `stop` ends it; all others are rows, appended to the table. --json
+prints one event a line (docs/guide.md). The page shows the same in large figures, to this computer only; over ssh, forward its
+port.
 
 Example:
     aridcal guide campaign.yaml --tolerance 0.2mm
@@ -53,9 +54,14 @@ def parser() -> CommandParser:
         help="when it is enough: 0.2mm for instance (default: the campaign's `tolerance`, else when more rows gain nothing)",
     )
     arguments.add_argument(
-        "--out", type=path_argument, metavar="DIR", help="folder of the report at the end (default: results/ beside the campaign)"
+        "--out",
+        type=path_argument,
+        metavar="DIR",
+        help="folder of the report at the end (default: results/ beside the campaign)",
     )
-    arguments.add_argument("--json", action="store_true", help="print events as JSON, one a line, and no words, to stdout")
+    arguments.add_argument(
+        "--json", action="store_true", help="print events as JSON, one a line, and no words, to stdout"
+    )
     arguments.add_argument(
         "--page", action=argparse.BooleanOptionalAction, default=True, help="show a page in the browser (default: yes)"
     )
@@ -97,12 +103,18 @@ def in_words(event: Event) -> Text:
     """An event as a line for the terminal."""
     match event:
         case RowRead(row, ok, reasons):
-            return Text(f"row {row}: good") if ok and not reasons else Text(f"row {row}: {'good' if ok else 'NOT USED'}, {'; '.join(reasons)}")
+            return (
+                Text(f"row {row}: good")
+                if ok and not reasons
+                else Text(f"row {row}: {'good' if ok else 'NOT USED'}, {'; '.join(reasons)}")
+            )
         case Alarm(row, what, words, do):
             return Text(f"  {what.upper()}: {words}\n  do: {do}", style="bold")
         case Known():
             more = "" if event.more is None else f", about {event.more} more for the tolerance"
-            return Text(f"  {event.rows} rows: within {1e3 * event.position:.3g} mm, {1e3 * event.rotation:.3g} mrad{more}")
+            return Text(
+                f"  {event.rows} rows: within {1e3 * event.position:.3g} mm, {1e3 * event.rotation:.3g} mrad{more}"
+            )
         case Next():
             joints = ", ".join(f"{name} {value:g}" for name, value in {**event.joints}.items())
             measure = "".join(f", {name} {label}" for name, label in event.labels.items())

@@ -1,7 +1,7 @@
 """Simulate a campaign with a known truth: from a scenario to measurements of an imperfect robot, and its true parameters.
 
-docs/simulate.md lists what `truth.effects` of a scenario may hold. With --live the campaign has no table yet: arm and tracker measure
-the poses that `aridcal guide --json` asks for on standard input, and append a row for each.
+docs/simulate.md lists what `truth.effects` of a scenario may hold. With --live the campaign has no table yet: arm and tracker
+measure the poses that `aridcal guide --json` asks for on standard input, and append a row for each.
 
 Example:
     aridcal simulate identification/arid/scenario.yaml -o /tmp/arid
@@ -38,7 +38,9 @@ def parser() -> CommandParser:
         "-o", "--out", type=path_argument, required=True, metavar="DIR", help="folder of the campaign"
     )
     arguments.add_argument(
-        "--live", action="store_true", help="measure pose by pose what `aridcal guide --json` on standard input asks for"
+        "--live",
+        action="store_true",
+        help="measure pose by pose what `aridcal guide --json` on standard input asks for",
     )
     for_scripts(arguments)
     return arguments

@@ -14,4 +14,6 @@ def guide_page(title: str, key: str) -> Markup:
         title: Of the campaign.
         key: That lets it say something.
     """
-    return filled("guide.html", title=title, key=key, style=Markup(asset("guide.css")), script=Markup(asset("guide.js")))
+    return filled(
+        "guide.html", title=title, key=key, style=Markup(asset("guide.css")), script=Markup(asset("guide.js"))
+    )

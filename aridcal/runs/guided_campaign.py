@@ -63,7 +63,9 @@ class Incoming:
                 return came
 
 
-def followed(session: Session, incoming: Incoming, pause: Callable[[float], None] = time.sleep) -> Iterator[list[Event]]:
+def followed(
+    session: Session, incoming: Incoming, pause: Callable[[float], None] = time.sleep
+) -> Iterator[list[Event]]:
     """Events as the table grows, until the stop; those that belong together at once.
 
     Lines of standard input that are no commands are rows, appended to the campaign's table.
@@ -133,7 +135,7 @@ def _append(path: Path, line: str) -> None:
 
 
 def to_calibrate(session: Session) -> Campaign:
-    """The campaign that the full search is for: the rows in use; what moved between them, and what they show, as declared effects.
+    """The campaign that the full search is for: the rows in use, and what they show, slips among it, as declared effects.
 
     Where the table holds exactly these rows it is that table; else a table beside it, ``NAME.good.csv``, holds them.
 

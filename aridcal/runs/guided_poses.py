@@ -34,8 +34,8 @@ class GuidedPose:
         """Append a row to the campaign's table, and judge it.
 
         Args:
-            measured: What was measured, by column, in the campaign's units: ``{"x": …, "y": …, "z": …}``. The joints are those of the
-                pose, unless their columns stand here: readings of the moment are better.
+            measured: What was measured, by column, in the campaign's units: ``{"x": …, "y": …, "z": …}``. The joints are
+                those of the pose, unless their columns stand here: readings of the moment are better.
 
         Returns:
             What calls for action; empty where the row is good.
@@ -69,7 +69,9 @@ class Guided:
             following = next(event for event in reversed(self.events) if isinstance(event, Next))
             yield GuidedPose(following.joints, following.labels, following.why, self)
             if len(self.events) == number:
-                raise MeasurementError("nothing was recorded of the last pose; call its `record` or `reject`, or leave the loop")
+                raise MeasurementError(
+                    "nothing was recorded of the last pose; call its `record` or `reject`, or leave the loop"
+                )
 
     @property
     def rows(self) -> list[RowRead]:
@@ -107,8 +109,14 @@ class Guided:
         content = content_of(path, self.session.campaign.limits.table)
         begun = content is not None
         if not begun and dialect.begins != 2:
-            raise MeasurementError(f"{path}: is not there, and `table` of the campaign describes more than one line above its rows")
-        names = content.decode(dialect.encoding).splitlines()[dialect.begins - 2].split(dialect.separator) if content else [*cells]
+            raise MeasurementError(
+                f"{path}: is not there, and `table` of the campaign describes more than one line above its rows"
+            )
+        names = (
+            content.decode(dialect.encoding).splitlines()[dialect.begins - 2].split(dialect.separator)
+            if content
+            else [*cells]
+        )
         names = [name.strip().strip('"') for name in names]
         missing = [name for name in names if name not in cells]
         if missing:

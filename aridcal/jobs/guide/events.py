@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 What = Literal["slip", "stale", "outlier", "unit", "clock", "target", "table", "robot"]
-"""Causes of alarms: something moved; a reading that was not renewed; a reading that is off; columns in another unit; times that go
-backwards; a target that was not seen before; a line that is no row; rows that this robot cannot have made."""
+"""Causes of alarms: something moved; a reading that was not renewed; a reading that is off; columns in another unit; times
+that go backwards; a target that was not seen before; a line that is no row; rows that this robot cannot have made."""
 
 Why = Literal["tolerance", "nothing to gain", "asked"]
 

@@ -1,6 +1,7 @@
 """A table that another program is writing: its complete lines, whatever happens to the file in between.
 
-The file may be absent at first, be swapped for a longer one, end in half a line, be cut off, begin anew. Lines that were taken stay
+The file may be absent at first, be swapped for a longer one, end in half a line, be cut off, begin anew. Lines that were taken
+stay
 taken: of a file that does not go on as it was, those lines are new that were not taken as often as they stand there.
 """
 

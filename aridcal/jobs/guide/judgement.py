@@ -1,6 +1,7 @@
 r"""Is a row good, beside all before it: its residual in sigmas of the prediction, and what explains one that is not.
 
-A row is predicted by all before it. With its columns F and residual r in sigmas of the noise, and what is left open of the unknowns,
+A row is predicted by all before it. With its columns F and residual r in sigmas of the noise, and what is left open of the
+unknowns,
 
 .. math:: e = r - F \delta, \qquad S = s^2 (1 + F \Sigma F^T), \qquad \chi^2 = e^T S^{-1} e
 
@@ -70,9 +71,7 @@ class Inflation:
 
     def with_row(self, verdict: Verdict) -> Inflation:
         """With one more row that was good."""
-        return Inflation(
-            self.squares + verdict.square * self.variance, self.numbers + len(verdict.error)
-        )
+        return Inflation(self.squares + verdict.square * self.variance, self.numbers + len(verdict.error))
 
 
 def exceeded(square: float | np.ndarray, numbers: int | np.ndarray, freedom: float) -> np.ndarray:
@@ -100,10 +99,9 @@ def beside_others(posterior: Posterior, F: np.ndarray, r: np.ndarray, inflation:
         r: Their residuals, shape (N, m).
         inflation: See :class:`Inflation`.
     """
-    N, m, _ = F.shape
     own = np.einsum("nid,de,nje->nij", F, posterior.covariance, F, optimize=True)
     error = r - F @ posterior.step
-    inner = np.eye(m) - own
+    inner = np.eye(F.shape[1]) - own
     # chi² of a row that is left out: e' (1 - H)^-1 e, as e / (1 - H) has the covariance 1 / (1 - H)
     values, vectors = np.linalg.eigh(inner)
     along = np.einsum("nij,ni->nj", vectors, error)

@@ -1,8 +1,9 @@
 r"""Did the tripod or the target move between two rows: hypotheses on the last few rows, weighed against each other.
 
-Beside "nothing happened" stand: since one of these rows a frame is elsewhere by an unknown twist; some of the rows are bad, each by
-itself. With e the errors of the rows as the rows before them predict these, and S their covariance, each hypothesis adds to S what it
-allows: :math:`d^2 G G^T` for a frame that moves the rows by G, a large variance for bad rows. What it allows in vain it pays for.
+Beside "nothing happened" stand: since one of these rows a frame is elsewhere by an unknown twist; some of the rows are bad,
+each by itself. With e the errors of the rows as the rows before them predict these, and S their covariance, each hypothesis
+adds to S what it allows: :math:`d^2 G G^T` for a frame that moves the rows by G, a large variance for bad rows. What it allows
+in vain it pays for.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ About the fit everything is linear: with F the columns of a row in units of its 
 
 .. math:: M \leftarrow M + F^T F, \qquad g \leftarrow g + F^T r, \qquad \delta = M^{-1} g
 
-so that each row of a batch is judged beside all before it at the price of some small matrices; then the fit is made anew, from where
-it was.
+so that each row of a batch is judged beside all before it at the price of some small matrices; then the fit is made anew, from
+where it was.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ FEWEST_TO_BEGIN = 3
 """Configurations from which frames can be found in closed form: two poses leave a turn open."""
 
 SPARE = 6
-"""Numbers beyond the unknowns of the frames that must be measured to begin: as many as one pose has. With fewer, other frames explain
-three places as well."""
+"""Numbers beyond the unknowns of the frames that must be measured to begin: as many as one pose has. With fewer, other frames
+explain three places as well."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,8 @@ def inverse(information: np.ndarray) -> np.ndarray:
 def expected(setup: PlanSetup) -> np.ndarray:
     """Standard deviation that is expected of each coefficient before any row, shape (K,).
 
-    Frames and instruments may be anywhere within :data:`LOOSE` of where closed forms have them; constants are off by what is usual.
+    Frames and instruments may be anywhere within :data:`LOOSE` of where closed forms have them; constants are off by what is
+    usual.
     """
     sizes = setup.model.sizes
     usual = np.array([_usual(c) for c in setup.model.coefficients]) * sizes
@@ -158,11 +159,19 @@ def begun(campaign: Campaign, robot: Robot, setup: PlanSetup, rows: Dataset) -> 
         return None
     known = geometry.model
     others = [k for k, c in enumerate(setup.model.coefficients) if c.name not in set(known.names)]
-    others = [k for k in others if setup.model.coefficients[k].where not in FRAMES]
+    # Of frames what these rows do not tell of them stays open, as a slip may be along just that.
+    labels = {
+        "world_base": {name for name, _ in known.world_base},
+        "tip_target": {name for name, _ in known.tip_target},
+    }
+    of_frames = [setup.model.coefficients[k] for k in others]
+    others = [k for k, c in zip(others, of_frames, strict=True) if c.station in labels.get(c.where, {c.station})]
     coefficients = (*known.coefficients, *(setup.model.coefficients[k] for k in others))
     return replace(
         setup,
-        model=replace(known.with_coefficients(coefficients), around=replace(setup.model.around, sights=known.around.sights)),
+        model=replace(
+            known.with_coefficients(coefficients), around=replace(setup.model.around, sights=known.around.sights)
+        ),
         theta=np.zeros(len(coefficients)),
         prior=np.r_[np.full(len(known.coefficients), np.inf), setup.prior[others]],
         patterns=_now(patterns_of(rows)),
@@ -216,7 +225,8 @@ def _sizes(base: np.ndarray, setup: PlanSetup, theta: np.ndarray, variance: np.n
 
     .. math:: s_g^2 = (\nu + \sum_k (\theta_k^2 + \Sigma_{kk}) / \sigma_k^2) / (\nu + n_g)
 
-    One step of the EM algorithm (Laird and Ware 1982) with the usual size for :data:`PRIOR_WEIGHT` coefficients. Frames keep theirs.
+    One step of the EM algorithm (Laird and Ware 1982) with the usual size for :data:`PRIOR_WEIGHT` coefficients. Frames keep
+    theirs.
     """
     sizes = base.copy()
     keys = [_group(c) for c in setup.model.coefficients]

@@ -41,9 +41,13 @@ class Oddity:
 def refusal(line: int, why: str) -> Oddity:
     """Of a line that is no row."""
     if "identical" in why:
-        return Oddity("stale", f"row {line} is {why}", "wait until the instrument has a new reading, and measure it again", True)
+        return Oddity(
+            "stale", f"row {line} is {why}", "wait until the instrument has a new reading, and measure it again", True
+        )
     if "unit" in why:
-        return Oddity("unit", f"row {line}: {why}", "check the unit in which the driver writes, and measure it again", True)
+        return Oddity(
+            "unit", f"row {line}: {why}", "check the unit in which the driver writes, and measure it again", True
+        )
     return Oddity("table", f"row {line}: {why}", "check what the driver wrote, and measure it again", True)
 
 

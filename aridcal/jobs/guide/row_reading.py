@@ -76,9 +76,7 @@ def _read(campaign: Campaign, robot: Robot, table: GrowingTable, some: list[int]
         copy = Path(folder) / path.name
         copy.write_bytes(table.text(some))
         try:
-            rows = load_measurements(
-                campaign, robot.readings, robot.limits, robot.kinds, files=[copy], robot=robot
-            )
+            rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, files=[copy], robot=robot)
         except AridcalError as error:
             raise type(error)(str(error).replace(str(copy), path.name)) from None
     ordered = rows.select(rows.as_read)

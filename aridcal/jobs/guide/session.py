@@ -22,6 +22,8 @@ from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, beside
 from aridcal.jobs.guide.moved import Moved, moved
 from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by
 from aridcal.jobs.guide.proposals import (
+    PLACES,
+    POOL,
     Pool,
     best_first,
     drawn,
@@ -31,8 +33,6 @@ from aridcal.jobs.guide.proposals import (
     region_columns,
     told_by,
     worth,
-    PLACES,
-    POOL,
 )
 from aridcal.jobs.guide.row_facts import Oddity, in_other_units, not_renewed, oddities, refusal
 from aridcal.jobs.guide.row_reading import RowsSoFar, rows_so_far
@@ -77,8 +77,8 @@ SLIPPED = 3.0
 """Times the likeliest size of a slip that each of its six numbers may have."""
 
 YOUNG = 60.0
-"""Numbers measured, ten poses, up to which a row that is off may be good, and the frames found before it wrong: they are sought again
-with it."""
+"""Numbers measured, ten poses, up to which a row that is off may be good, and the frames found before it wrong: they are
+sought again with it."""
 
 WITNESSES = 12
 """Work: Earlier rows near a pose to which a way is sought, to measure one of them again."""
@@ -127,8 +127,8 @@ class Session:
     region: np.ndarray
     rng: np.random.Generator
     posterior: Posterior | None = None
-    inflation: Inflation = Inflation()
-    beside: Beside = Beside()
+    inflation: Inflation = field(default_factory=Inflation)
+    beside: Beside = field(default_factory=Beside)
     candidates: Candidates | None = None
     drawn_at: int = 0
     repeated_at: int = 0
@@ -222,7 +222,14 @@ class Session:
                 ]
         stale = not_renewed(rows, at, self.posterior.setup.sigma)
         if stale:
-            return [Oddity("stale", f"row {line}: {stale}", "wait until arm and instrument are still, and measure it again", True)]
+            return [
+                Oddity(
+                    "stale",
+                    f"row {line}: {stale}",
+                    "wait until arm and instrument are still, and measure it again",
+                    True,
+                )
+            ]
         self.suspect = k
         self.off.add(k)
         again = self._witness(at, rows)
@@ -370,10 +377,14 @@ class Session:
         """Whether the model knows all that a row refers to."""
         assert self.posterior is not None
         model = self.posterior.setup.model
-        if row.labels.target is not None and any(str(t) not in {str(n) for n, _ in model.tip_target} for t in row.labels.target):
+        if row.labels.target is not None and any(
+            str(t) not in {str(n) for n, _ in model.tip_target} for t in row.labels.target
+        ):
             return False
         return all(
-            set(things.names) <= set(model.instruments.things[role].names) if role in model.instruments.things else False
+            set(things.names) <= set(model.instruments.things[role].names)
+            if role in model.instruments.things
+            else False
             for role, things in row.instruments.things.items()
         )
 
@@ -406,7 +417,11 @@ class Session:
         """Fit all rows in use anew."""
         assert self.posterior is not None
         rows, weight = self._in_use()
-        known = np.array([self._knows(rows.select(np.array([j]))) for j in range(len(rows))]) if self._labelled(rows) else True
+        known = (
+            np.array([self._knows(rows.select(np.array([j]))) for j in range(len(rows))])
+            if self._labelled(rows)
+            else True
+        )
         self.posterior = fitted(self.posterior, rows, weight * known)
         self.fitted_rows = int(weight.sum())
 
@@ -432,7 +447,9 @@ class Session:
         """Rows that turn out bad beside those after them, and rows that turn out good."""
         assert self.posterior is not None
         rows, weight = self._in_use()
-        known = [j for j in range(len(rows)) if self._knows(rows.select(np.array([j])))] if self._labelled(rows) else None
+        known = (
+            [j for j in range(len(rows)) if self._knows(rows.select(np.array([j])))] if self._labelled(rows) else None
+        )
         places = np.arange(len(rows)) if known is None else np.array(known)
         used = places[weight[places] > 0.0]
         events: list[Event] = []
@@ -479,7 +496,9 @@ class Session:
         off = left_out(self.posterior)
         position = bound(moves[:, :3], covariance, beyond, off)
         rotation = bound(moves[:, 3:], covariance, np.zeros(DRAWS), off)
-        return Known(count, position, rotation, self._more(count, position, bound(moves[:, :3], 0.0 * covariance, beyond)))
+        return Known(
+            count, position, rotation, self._more(count, position, bound(moves[:, :3], 0.0 * covariance, beyond))
+        )
 
     def _more(self, count: int, position: float, floor: float) -> int | None:
         """Rows that the tolerance takes beside those so far, if variances go on to fall as one over their number."""
@@ -518,7 +537,11 @@ class Session:
         reachable = self.tolerance is not None and known.more is not None
         assert self.posterior is not None
         if told and not reachable and gain_ahead(some, self.posterior) < HARDLY:
-            beyond = "" if self.tolerance is None else f"; what is beyond the model keeps it above {1e3 * self.tolerance:.3g} mm"
+            beyond = (
+                ""
+                if self.tolerance is None
+                else f"; what is beyond the model keeps it above {1e3 * self.tolerance:.3g} mm"
+            )
             return "nothing to gain", (
                 f"ten more rows would make the target less than {100 * HARDLY:.0f} % better known: it is within "
                 f"{1e3 * known.position:.3g} mm{beyond}"
@@ -545,7 +568,9 @@ class Session:
         rows, weight = self._in_use()
         readings = rows.readings[weight > 0.0]
         titles = offers(self.prior.setup)
-        of = [next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0) for j in np.flatnonzero(weight)]
+        of = [
+            next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0) for j in np.flatnonzero(weight)
+        ]
         patterns = [titles.patterns[n] for n in of]
         measured = Candidates(
             readings,
@@ -568,7 +593,11 @@ class Session:
         """Configurations to choose from."""
         now = self._now()
         count = len(self.table.rows)
-        if self.candidates is None or count >= self.drawn_at + POOL_LASTS or (self.posterior is not None) != self.drawn_with:
+        if (
+            self.candidates is None
+            or count >= self.drawn_at + POOL_LASTS
+            or (self.posterior is not None) != self.drawn_with
+        ):
             self.candidates = drawn(now, self.rng)
             self.drawn_at = count
             self.drawn_with = self.posterior is not None
@@ -587,22 +616,24 @@ class Session:
                 return self._said(rows.readings[j], why, self._labels_of(rows, j))
         repeat = self._repeat(now)
         if repeat is not None and rows is not None:
-            why = f"row {self.table.line(int(self.read.index[repeat]))} again: it tells the noise, and that nothing moved"
+            why = (
+                f"row {self.table.line(int(self.read.index[repeat]))} again: it tells the noise, and that nothing moved"
+            )
             return self._said(rows.readings[repeat], why, self._labels_of(rows, repeat))
         gain = worth(some, now)
         gain = np.where(self._wanted(some), gain, gain - 1.0)
         titles = offers(now.setup).titles
         order = best_first(some, gain, now, here, self.rejected)
-        k = next(order, None)
+        k, unseen = next(order, None), ""
         if k is None:  # no straight way to any: the best pose, and the user finds the way
-            left = best_first(some, gain, now, None, self.rejected)
-            k = next(left, None)
+            k = next(best_first(some, gain, now, None, self.rejected), None)
+            unseen = "; no straight way of the joints was found: see to it yourself"
         if k is None:
             self.rejected = ()
             self.candidates = None
             return self._next(self._pool())
         places = " and ".join(told_by(some, k, now))
-        why = f"makes the target {100 * float(max(worth(some, now)[k], 0.0)):.2g} % better known; tells most of {places}"
+        why = f"makes the target {100 * float(max(worth(some, now)[k], 0.0)):.2g} % better known; tells most of {places}{unseen}"
         return self._said(some.candidates.readings[k], why, titles[int(some.candidates.offer[k])])
 
     def _wanted(self, some: Pool) -> np.ndarray:
@@ -613,7 +644,10 @@ class Session:
         if self.posterior is not None or len(titles) < 2 or rows is None:
             return every
         labels = [next(iter(title.values()), "") for title in titles]
-        seen = [*rows.labels.refers[:, 0].tolist(), *([] if rows.labels.target is None else rows.labels.target.tolist())]
+        seen = [
+            *rows.labels.refers[:, 0].tolist(),
+            *([] if rows.labels.target is None else rows.labels.target.tolist()),
+        ]
         counts = np.array([seen.count(label) for label in labels])
         return np.isin(some.candidates.offer, np.flatnonzero(counts == counts.min()))
 

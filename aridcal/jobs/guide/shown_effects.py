@@ -1,4 +1,4 @@
-"""Effects that the rows so far show beyond doubt, as a campaign declares them: few rows are too few for the search to find them."""
+"""Effects that the rows so far show, as a campaign declares them: such rows are too few for the search to find them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from aridcal.files.campaign import EffectDeclaration
 from aridcal.jobs.guide.posterior import Posterior
 
 SHOWN = 1e-2
-"""Probability of an effect that is not there to look as large: of some twenty suspects one in five campaigns declares one in vain,
-which costs less than one left out."""
+"""Probability of an effect that is not there to look as large: of some twenty suspects one in five campaigns declares one in
+vain, which costs less than one left out."""
 
 
 @dataclass(frozen=True)

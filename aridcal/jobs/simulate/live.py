@@ -60,8 +60,8 @@ def live_arm(scenario: Scenario) -> LiveArm:
     by_row = [effect.kind for effect in scenario.truth.effects if effect.form is not None or effect.kind == "shift"]
     if scenario.refers or not kind.tracked or scenario.truth.outliers is not None or by_row:
         raise CampaignError(
-            f"{scenario.path}: measured live are `kind: pose` and `kind: position` of one target, without `outliers`, `shift` and "
-            "effects with a `form`; simulate all others as a whole"
+            f"{scenario.path}: measured live are `kind: pose` and `kind: position` of one target, without `outliers`, "
+            "`shift` and effects with a `form`; simulate all others as a whole"
         )
     simulation = simulate(scenario)
     assert simulation.model is not None
@@ -83,6 +83,7 @@ def asked(arm: LiveArm, line: str) -> pd.DataFrame | None:
         readings = np.array([float(event["joints"][name]) for name in names])
     except (ValueError, TypeError, KeyError):
         raise MeasurementError(
-            f"standard input: {shortened(line.strip())!r} is no event of this arm; pipe `aridcal guide DIR/campaign.yaml --json` here"
+            f"standard input: {shortened(line.strip())!r} is no event of this arm; "
+            "pipe `aridcal guide DIR/campaign.yaml --json` here"
         ) from None
     return arm.measured(readings)  # a scenario's table is in SI
