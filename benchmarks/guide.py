@@ -237,7 +237,8 @@ def _one(folder: Path, arm: str, kind: str, seed: int) -> tuple[float, ...]:
             break
     now = session(one.campaign, robot, tolerance)
     one.arm.poses.clear()
-    events, guided, stop, within = now.taken([]), [], 0, False
+    events, stop, within = now.taken([]), 0, False
+    guided: list[float] = []
     while len(guided) < MOST_ROWS and isinstance(events[-1], Next):
         events = fed(now, one, of(events[-1]))
         guided.append(np.inf if now.posterior is None else one.error(now.posterior))
@@ -298,8 +299,8 @@ def _fault(folder: Path, arm: str, kind: str, fault: str, seed: int) -> tuple[in
     now = session(one.campaign, one.arm.simulation.robot, None)
     events = now.taken([])
     alarms: list[tuple[int, Alarm]] = []
-    shift = {"xyz": rng.normal(size=3), "size": rng.uniform(5e-4, 3e-3)}
-    shift["xyz"] *= shift["size"] / np.linalg.norm(shift["xyz"])
+    shift = rng.normal(size=3)
+    shift *= rng.uniform(5e-4, 3e-3) / np.linalg.norm(shift)
     last = b""
     for n in range(1, at + 3):
         if not isinstance(events[-1], Next):
@@ -310,10 +311,12 @@ def _fault(folder: Path, arm: str, kind: str, fault: str, seed: int) -> tuple[in
             frames = model.tip_target if fault == "target" else model.world_base
             ((label, frame),) = frames
             moved = frame.copy()
-            moved.translation = frame.translation + shift["xyz"]
-            ends = {"tip_target" if fault == "target" else "world_base": ((label, moved),)}
-            one.arm.model = replace(model, **ends)
-        head, line = one.line(of(events[-1]))
+            moved.translation = frame.translation + shift
+            ends = ((label, moved),)
+            one.arm.model = replace(model, tip_target=ends) if fault == "target" else replace(model, world_base=ends)
+        following = events[-1]
+        assert isinstance(following, Next)
+        head, line = one.line(of(following))
         if n == at or (n > at and fault == "unit"):
             line = _spoilt(line, last, fault, one, rng)
         last = line

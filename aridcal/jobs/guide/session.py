@@ -23,7 +23,7 @@ from aridcal.jobs.guide.moved import Moved, moved
 from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by
 from aridcal.jobs.guide.proposals import (
     PLACES,
-    POOL,
+    SMALL_POOL,
     Pool,
     best_first,
     drawn,
@@ -199,7 +199,7 @@ class Session:
         """Judge a row by its residual."""
         assert self.posterior is not None
         row = rows.select(np.array([at]))
-        if not self._knows(row):
+        if not self._knows(row).all():
             return []  # a label that is new: the model begins anew with it
         F, r = self.posterior.columns(row)
         judged = verdict(self.posterior, F[0], r[0], self.inflation)
@@ -304,7 +304,7 @@ class Session:
         assert self.posterior is not None
         setup, things = self.posterior.setup, self.posterior.things
         judged = [j for j in range(max(0, at - WINDOW + 1), at + 1) if self._judges(int(self.read.index[j]))]
-        judged = [j for j in judged if self._knows(rows.select(np.array([j])))]
+        judged = [j for j, known in zip(judged, self._knows(rows)[judged], strict=True) if known]
         if len(judged) < 2 or all(self.good[int(self.read.index[j])] for j in judged):
             return []
         names = setup.model.names
@@ -373,20 +373,18 @@ class Session:
         """Whether a line is a row for the full search, which judges by itself which rows are outliers."""
         return self._judges(k)
 
-    def _knows(self, row: Dataset) -> bool:
-        """Whether the model knows all that a row refers to."""
+    def _knows(self, rows: Dataset) -> np.ndarray:
+        """Rows of which the model knows all that they refer to, shape (n,) bool."""
         assert self.posterior is not None
         model = self.posterior.setup.model
-        if row.labels.target is not None and any(
-            str(t) not in {str(n) for n, _ in model.tip_target} for t in row.labels.target
-        ):
-            return False
-        return all(
-            set(things.names) <= set(model.instruments.things[role].names)
-            if role in model.instruments.things
-            else False
-            for role, things in row.instruments.things.items()
-        )
+        knows = np.ones(len(rows), dtype=bool)
+        if rows.labels.target is not None:
+            knows &= np.isin(rows.labels.target.astype(str), [str(name) for name, _ in model.tip_target])
+        for k, role in enumerate(rows.blocks[0].traits.roles):
+            things = model.instruments.things.get(role.name)
+            if things is not None:
+                knows &= np.isin(rows.labels.refers[:, k], ["", *things.names])
+        return knows
 
     # -- fits ---------------------------------------------------------------------------------------------------------------
 
@@ -417,29 +415,18 @@ class Session:
         """Fit all rows in use anew."""
         assert self.posterior is not None
         rows, weight = self._in_use()
-        known = (
-            np.array([self._knows(rows.select(np.array([j]))) for j in range(len(rows))])
-            if self._labelled(rows)
-            else True
-        )
-        self.posterior = fitted(self.posterior, rows, weight * known)
+        self.posterior = fitted(self.posterior, rows, weight * self._knows(rows))
         self.fitted_rows = int(weight.sum())
-
-    def _labelled(self, rows: Dataset) -> bool:
-        """Whether rows refer to things or targets by name."""
-        return rows.labels.target is not None or bool(rows.instruments.things)
 
     def _afterwards(self, new: Sequence[int]) -> list[Event]:
         """Fit anew after a batch, and look at earlier rows again."""
         if self.posterior is None:
             return []
         rows, weight = self._in_use()
-        if self._labelled(rows):
-            strangers = [j for j in range(len(rows)) if weight[j] and not self._knows(rows.select(np.array([j])))]
-            if strangers:
-                before, self.posterior = self.posterior, None
-                self._begin(0)
-                self.posterior = self.posterior or before
+        if (~self._knows(rows) & (weight > 0.0)).any():  # with what is new the model begins anew
+            before, self.posterior = self.posterior, None
+            self._begin(0)
+            self.posterior = self.posterior or before
         self._fit()
         return self._belated(set(new))
 
@@ -447,10 +434,7 @@ class Session:
         """Rows that turn out bad beside those after them, and rows that turn out good."""
         assert self.posterior is not None
         rows, weight = self._in_use()
-        known = (
-            [j for j in range(len(rows)) if self._knows(rows.select(np.array([j])))] if self._labelled(rows) else None
-        )
-        places = np.arange(len(rows)) if known is None else np.array(known)
+        places = np.flatnonzero(self._knows(rows))
         used = places[weight[places] > 0.0]
         events: list[Event] = []
         changed = False
@@ -569,7 +553,8 @@ class Session:
         readings = rows.readings[weight > 0.0]
         titles = offers(self.prior.setup)
         of = [
-            next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0) for j in np.flatnonzero(weight)
+            next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0)
+            for j in np.flatnonzero(weight).tolist()
         ]
         patterns = [titles.patterns[n] for n in of]
         measured = Candidates(
@@ -595,7 +580,7 @@ class Session:
         count = len(self.table.rows)
         if (
             self.candidates is None
-            or count >= self.drawn_at + POOL_LASTS
+            or (self.campaign.measurements.traits.anywhere and count >= self.drawn_at + POOL_LASTS)
             or (self.posterior is not None) != self.drawn_with
         ):
             self.candidates = drawn(now, self.rng)
@@ -737,7 +722,7 @@ def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Sessio
         )
     rng = np.random.default_rng(0)
     setup = from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
-    candidates = draw_candidates(setup, POOL, 1, rng)
+    candidates = draw_candidates(setup, SMALL_POOL, 1, rng)
     setup = with_stated_effects(setup, candidates)
     if not campaign.effects:
         setup = with_usual_effects(setup, candidates)
