@@ -165,12 +165,7 @@ def begun(campaign: Campaign, robot: Robot, setup: PlanSetup, rows: Dataset) -> 
         "tip_target": {name for name, _ in known.tip_target},
     }
     of_frames = [setup.model.coefficients[k] for k in others]
-    tracked = rows.blocks[0].traits.tracked
-    others = [
-        k
-        for k, c in zip(others, of_frames, strict=True)
-        if c.where not in FRAMES or (tracked and c.station in labels[c.where])
-    ]
+    others = [k for k, c in zip(others, of_frames, strict=True) if c.station in labels.get(c.where, {c.station})]
     coefficients = (*known.coefficients, *(setup.model.coefficients[k] for k in others))
     return replace(
         setup,

@@ -15,9 +15,6 @@ from aridcal.jobs.plan.row_exchange import Choice, rms_sigma, updated, worth_of
 POOL = 600
 """Configurations to choose from: the best of as many is within some per cent of the best of all."""
 
-SMALL_POOL = 80
-"""The same where each must be sought, as the target is to touch something there: some milliseconds each."""
-
 PLACES = 100
 """Places of the region: their mean is known to a tenth, and the same ones count for every choice."""
 
@@ -52,8 +49,7 @@ class Pool:
 
 def drawn(posterior: Posterior, rng: np.random.Generator) -> Candidates:
     """Configurations that can be measured."""
-    anywhere = posterior.setup.campaign.measurements.traits.anywhere
-    return draw_candidates(posterior.setup, POOL if anywhere else SMALL_POOL, 1, rng)
+    return draw_candidates(posterior.setup, POOL, 1, rng)
 
 
 def pool(posterior: Posterior, candidates: Candidates, region: np.ndarray, here: np.ndarray | None) -> Pool:

@@ -84,7 +84,7 @@ def oddities(rows: Dataset, k: int, lines: np.ndarray, usable: np.ndarray) -> It
             "check its name; if it is new, measure it in three poses at the least",
             False,
         )
-    if rows.blocks[0].traits.tracked and usable[:k].any() and not rows.repeats.stale[k]:
+    if usable[:k].any() and not rows.repeats.stale[k]:
         size = np.linalg.norm(rows.position, axis=1)
         before = size[:k][usable[:k]]
         if size[k] > GROSS * before.max() or size[k] * GROSS < before.min():
@@ -103,11 +103,10 @@ FEW_LABELS = 4
 def in_other_units(rows: Dataset, k: int) -> Iterator[tuple[str, Dataset]]:
     """Row k as it would be in the units that are commonly mistaken, with what was mistaken for what."""
     row = rows.select(np.array([k]))
-    if row.blocks[0].traits.tracked:
-        for words, factor in SCALES.items():
-            observed = row.observed.copy()
-            observed[:, :3] /= factor
-            yield words, replace(row, observed=observed)
+    for words, factor in SCALES.items():
+        observed = row.observed.copy()
+        observed[:, :3] /= factor
+        yield words, replace(row, observed=observed)
     turning = np.array([kind != "prismatic" for kind in rows.kinds])
     for words, factor in TURNS.items():
         yield words, replace(row, readings=np.where(turning, row.readings / factor, row.readings))
@@ -121,7 +120,7 @@ def not_renewed(rows: Dataset, k: int, sigma: np.ndarray) -> str:
         k: Index of the row.
         sigma: Noise of each channel, shape (C,).
     """
-    if not k or not rows.blocks[0].traits.tracked:
+    if not k:
         return ""
     moved = np.abs(rows.readings[k] - rows.readings[k - 1]) > tolerances(rows.kinds)
     shift = float(np.linalg.norm(rows.position[k] - rows.position[k - 1]))

@@ -23,7 +23,7 @@ from aridcal.jobs.guide.moved import Moved, moved
 from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by
 from aridcal.jobs.guide.proposals import (
     PLACES,
-    SMALL_POOL,
+    POOL,
     Pool,
     best_first,
     drawn,
@@ -233,7 +233,7 @@ class Session:
         self.suspect = k
         self.off.add(k)
         again = self._witness(at, rows)
-        what = self._thing_or_target(rows)
+        what = "the tripod or the target"
         do = (
             f"measure row {self.table.line(again)} again: if it is off, too, {what} moved; if not, row {line} was a bad reading"
             if again is not None
@@ -281,13 +281,6 @@ class Session:
             for channel, part, sigma in zip(channels, columns(channels), self.posterior.setup.sigma, strict=True):
                 parts.append(f"{np.linalg.norm(judged.error[part]) * sigma * channel.scale:.3g} {channel.shown}")
         return f"{', '.join(parts)}, {judged.sigmas:.1f} sigma".lstrip(", ")
-
-    def _thing_or_target(self, rows: Dataset) -> str:
-        """What may have moved, in words."""
-        kind = rows.blocks[0].traits
-        if kind.tracked:
-            return "the tripod or the target"
-        return "the board or the camera" if kind.images else "the instrument or the target"
 
     def _witness(self, at: int, rows: Dataset) -> int | None:
         """The line of an earlier good row that the arm gets to from this pose, to be measured again; None if there is none."""
@@ -580,7 +573,7 @@ class Session:
         count = len(self.table.rows)
         if (
             self.candidates is None
-            or (self.campaign.measurements.traits.anywhere and count >= self.drawn_at + POOL_LASTS)
+            or count >= self.drawn_at + POOL_LASTS
             or (self.posterior is not None) != self.drawn_with
         ):
             self.candidates = drawn(now, self.rng)
@@ -684,8 +677,6 @@ class Session:
         """Poses that check the calibration: far from each other, and from all that was measured."""
         rows = self.read.rows
         places = self.region
-        if not self.campaign.measurements.traits.anywhere and self.candidates is not None:
-            places = self.candidates.readings
         taken = list(rows.readings) if rows is not None else []
         chosen: list[Mapping[str, float]] = []
         for _ in range(min(CHECKS, len(places))):
@@ -720,9 +711,14 @@ def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Sessio
         raise CampaignError(
             f"{campaign.path}: measurements: one table is followed while it grows; write a campaign with one block and one file"
         )
+    if not campaign.measurements.traits.tracked:
+        raise CampaignError(
+            f"{campaign.path}: measurements.kind: led are `kind: pose` and `kind: position`; plan others with `aridcal design`, "
+            "measure, and run `aridcal identify` now and then"
+        )
     rng = np.random.default_rng(0)
     setup = from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
-    candidates = draw_candidates(setup, SMALL_POOL, 1, rng)
+    candidates = draw_candidates(setup, POOL, 1, rng)
     setup = with_stated_effects(setup, candidates)
     if not campaign.effects:
         setup = with_usual_effects(setup, candidates)
