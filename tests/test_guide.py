@@ -202,6 +202,7 @@ def test_a_row_that_is_left_out_is_as_far_off_as_a_fit_without_it_says(tmp_path:
     assert now.posterior is not None
     assert now.read.rows is not None
     F, r = now.posterior.columns(now.read.rows)
+    r[[0, 5]] += 5.0  # sigmas: clearly off
     together = beside_others(now.posterior, F, r, now.inflation)
     for k in (0, 5):
         without = now.posterior.with_rows(F[k : k + 1], r[k : k + 1], -1.0)
