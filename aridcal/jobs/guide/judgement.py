@@ -22,8 +22,9 @@ FALSE_ALARM = 1e-4
 somewhat heavier than normal, too."""
 
 CLEARLY = 3.0
-"""Sigmas per number that a row must be off besides: noise and what a model lacks have heavier tails than normal noise. Without this
-the first 520 rows of a real UR10 (series B) gave nine alarms, rows off by 2.3 to 2.7 and four slips that nobody knows of."""
+"""Sigmas per number that a row must be off besides: noise and what a model lacks have heavier tails than normal noise. Without
+this the first 520 rows of a real UR10 (series B) gave nine alarms: rows off by 2.3 to 2.7, and four slips that nobody knows
+of; with it one."""
 
 PREDICTED_WEIGHT = 30.0
 """Numbers for which the prediction itself counts in s: what ten positions tell of it."""
