@@ -21,7 +21,7 @@ FALSE_ALARM = 1e-4
 """Probability of a good row to be called off. Of several tests of a row together that is below one in 500, for noise with tails
 somewhat heavier than normal, too."""
 
-CLEARLY = 3.0
+CLEARLY = 2.75
 """Sigmas per number that a row must be off besides: noise and what a model lacks have heavier tails than normal noise. Without
 this the first 520 rows of a real UR10 (series B) gave nine alarms: rows off by 2.3 to 2.7, and four slips that nobody knows
 of; with it one."""
