@@ -4,6 +4,8 @@ Example:
     import aridcal
 
     poses = aridcal.plan("campaign.yaml", 30)  # which to measure next
+    for pose in aridcal.guide("campaign.yaml", tolerance="0.2mm"):  # or one by one, until it is enough
+        pose.record(my_robot(pose.joints))
     campaign = aridcal.propose("ur5.urdf", table)  # a path or a DataFrame; prints what was guessed
     cal = aridcal.calibrate(campaign)  # or the path of a campaign.yaml
     cal.errors, cal.effects, cal.parameters  # DataFrames
@@ -30,11 +32,13 @@ __all__ = [
     "AridcalError",
     "Calibration",
     "Campaign",
+    "Guided",
     "PlannedPoses",
     "__version__",
     "calibrate",
     "compare",
     "fleet",
+    "guide",
     "history",
     "load",
     "merge",
@@ -44,7 +48,20 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from aridcal.api import PlannedPoses, calibrate, compare, fleet, history, load, merge, plan, propose, study
+    from aridcal.api import (
+        Guided,
+        PlannedPoses,
+        calibrate,
+        compare,
+        fleet,
+        guide,
+        history,
+        load,
+        merge,
+        plan,
+        propose,
+        study,
+    )
     from aridcal.calibration import Calibration
     from aridcal.files.campaign import Campaign
     from aridcal.system.errors import AridcalError

@@ -1,6 +1,8 @@
 """The Python face: plan poses, propose a campaign, calibrate, load.
 
 Example:
+    for pose in aridcal.guide("campaign.yaml", tolerance="0.2mm"):
+        pose.record(my_robot(pose.joints))
     poses = aridcal.plan("campaign.yaml", 30)
     poses.save("poses.csv", "poses.script", "poses.html")
     campaign = aridcal.propose("robot.urdf", table)
@@ -28,6 +30,7 @@ import pandas as pd
 from aridcal.calibration import Calibration
 from aridcal.engine.robot.chain import Robot
 from aridcal.files.campaign import Campaign, load_campaign, nominal_robot
+from aridcal.files.measurement_settings import LENGTHS, with_unit
 from aridcal.files.tables import AnyTable
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel
@@ -43,21 +46,24 @@ from aridcal.jobs.prepare.other_readings import refuse_misread
 from aridcal.runs.calibration_changes import Changes, changes
 from aridcal.runs.fleet_history import FleetHistory, over_time
 from aridcal.runs.fleet_run import FleetRun, calibrated_fleet, fleet_run
+from aridcal.runs.guided_poses import Guided, guided
 from aridcal.runs.log_merge import merge
 from aridcal.runs.plan_files import MOST_PLANNED, check_endings, check_outputs, write_plan
 from aridcal.runs.proposal import print_proposal
 from aridcal.runs.study_run import StudyRun, repeated, study_run
-from aridcal.system.errors import AridcalError, shortened
+from aridcal.system.errors import AridcalError, CampaignError, shortened
 from aridcal.system.progress import Progress, Screen, one_thread, working
 
 __all__ = [
     "AridcalError",
     "Calibration",
     "Campaign",
+    "Guided",
     "PlannedPoses",
     "calibrate",
     "compare",
     "fleet",
+    "guide",
     "history",
     "load",
     "merge",
@@ -225,6 +231,34 @@ def compare(a: str | Path | Calibration, b: str | Path | Calibration) -> Changes
         for calibration_or_path in (a, b)
     )
     return changes(first, second)
+
+
+def guide(campaign: str | Path | Campaign, tolerance: str | None = None) -> Guided:
+    """Be led while measuring, as `aridcal guide` does: poses one after another, each recorded and judged, until it is enough.
+
+    .. code-block:: python
+
+        guided = aridcal.guide("campaign.yaml", tolerance="0.2mm")
+        for pose in guided:
+            for alarm in pose.record(my_robot(pose.joints)):  # {"x": …, "y": …, "z": …}
+                print(alarm.words, alarm.do)
+        cal = aridcal.calibrate(guided.campaign)
+
+    Each row is appended to the campaign's table: whoever begins again goes on where it ends.
+
+    Args:
+        campaign: Its table may not be there yet.
+        tolerance: When it is enough, ``"0.2mm"``; None: the campaign's own, else when more rows gain nothing.
+
+    Raises:
+        AridcalError: the campaign or its table needs mending.
+    """
+    job = campaign if isinstance(campaign, Campaign) else load_campaign(Path(campaign))
+    try:
+        limit = None if tolerance is None else with_unit(tolerance, LENGTHS, "0.2mm")
+    except ValueError as problem:
+        raise CampaignError(f"tolerance: {problem}") from None
+    return guided(job, limit)
 
 
 def history(folder: str | Path, robot: str | None = None) -> FleetHistory:

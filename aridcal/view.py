@@ -13,14 +13,11 @@ from __future__ import annotations
 import argparse
 import asyncio
 import hashlib
-import os
 import re
 import sys
-import webbrowser
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 # Here and not where they are used: until a command runs, Ctrl-C ends it without a traceback, inside of imports as well.
 import tornado.web
@@ -28,9 +25,9 @@ import umsgpack  # type: ignore[import-untyped]
 from meshcat.servers.tree import find_node
 from meshcat.servers.zmqserver import WebSocketHandler, ZMQWebSocketBridge
 from tornado.httpserver import HTTPServer
-from tornado.netutil import bind_sockets
 
 from aridcal.command_line import CommandParser, command, command_parser
+from aridcal.runs.local_pages import ADDRESS, MOST_ASKED, Nothing, listen, show
 from aridcal.system.errors import OutputError
 from aridcal.system.progress import Screen
 from aridcal.system.reading.regular_files import RESULT, read_file
@@ -40,20 +37,11 @@ from aridcal.system.reading.user_names import path_argument
 # killed. Two things of it are closed: it would listen to the whole network, and take drawing commands from any program on
 # this computer. The page is ours, with the panel that scene.html has; the scene travels to it as one meshcat object.
 
-LOCAL = frozenset({"127.0.0.1", "localhost", "::1"})
-"""Names by which a browser may ask for us, on any port (ssh forwards them). Under another name it is a foreign page's
-address that was pointed at this computer (DNS rebinding)."""
-
-ADDRESS = "127.0.0.1"
-
 SCENE_PATH = "calibration"
 """Of the scene in meshcat's tree."""
 
 LOOK_EVERY = 0.5
 """[s] between two looks at the folder."""
-
-MOST_ASKED = 10_000
-"""Bytes of a request or a message: browsers have nothing to tell us."""
 
 SCENE = re.compile(r'<script type="application/json" id="scene">(.*?)</script>', re.DOTALL)
 
@@ -85,7 +73,7 @@ class Viewer(ZMQWebSocketBridge):
         this = {"viewer": self}
         return _Application(
             [(r"/(?:scene\.html)?", _Page, this), ("/live", _Connection, {"bridge": self})],
-            default_handler_class=_Nothing,
+            default_handler_class=Nothing,
             log_function=lambda handler: None,  # the terminal is the user's
             websocket_max_message_size=MOST_ASKED,
         )
@@ -141,32 +129,11 @@ class _Application(tornado.web.Application):
     """A web application that listens to this computer only."""
 
     def listen(self, port: int, address: str | None = None, **settings: Any) -> HTTPServer:
-        sockets = bind_sockets(port, ADDRESS)
-        self.port = sockets[0].getsockname()[1]
-        self.server = HTTPServer(self, max_body_size=MOST_ASKED, max_header_size=MOST_ASKED)
-        self.server.add_sockets(sockets)
+        self.server, self.port = listen(self, port)
         return self.server
 
 
-class _Nothing(tornado.web.RequestHandler):
-    """What answers browsers: pages of other sites get nothing."""
-
-    def prepare(self) -> None:
-        try:
-            name = urlsplit(f"//{self.request.host}").hostname
-        except ValueError:
-            name = None
-        if name not in LOCAL:
-            raise tornado.web.HTTPError(403)
-        if type(self) is _Nothing:
-            raise tornado.web.HTTPError(404)
-
-    def set_default_headers(self) -> None:
-        self.set_header("Cache-Control", "no-store")
-        self.set_header("Cross-Origin-Resource-Policy", "same-origin")
-
-
-class _Page(_Nothing):
+class _Page(Nothing):
     """The scene's page."""
 
     def initialize(self, viewer: Viewer) -> None:
@@ -177,7 +144,7 @@ class _Page(_Nothing):
         self.finish(self.viewer.page())
 
 
-class _Connection(WebSocketHandler, _Nothing):
+class _Connection(WebSocketHandler, Nothing):
     """Meshcat's connection to a browser, which listens only: ``check_origin`` of tornado refuses pages of other sites."""
 
     def open(self) -> None:
@@ -217,17 +184,10 @@ async def _show(scene: Path) -> None:
     viewer = Viewer(scene)
     try:
         Screen().say(f"{viewer.url}  (follows the folder; Ctrl-C ends it)")
-        if _has_screen():
-            webbrowser.open(viewer.url)
+        show(viewer.url)
         await viewer.follow()
     finally:
         viewer.close()
-
-
-def _has_screen() -> bool:
-    """Whether a browser can show itself: without a display, Python would start a text browser in this terminal."""
-    names = ("BROWSER", "DISPLAY", "WAYLAND_DISPLAY")
-    return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in names)
 
 
 def _main(arguments: argparse.Namespace) -> None:

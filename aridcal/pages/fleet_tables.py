@@ -71,7 +71,9 @@ def case_table(done: StudyResult) -> pd.DataFrame:
 
 
 def _case(point: CaseFigures) -> Row:
-    estimates = {name: getattr(point, name) for name in ("found", "named", "others", "final", "true")}
+    estimates = {"found": point.finding_share} | {
+        name: getattr(point, name) for name in ("named", "others", "final", "true")
+    }
     row: Row = {name: getattr(point, name) for name in ("rows", "size", "runs", "failed")}
     for name, estimate in estimates.items():
         row |= _estimate(name, estimate)

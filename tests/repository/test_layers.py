@@ -46,7 +46,7 @@ KEPT_TO = {
     "cv2": ("aridcal.jobs.boards.", "aridcal.jobs.head1992."),
     "meshcat": ("aridcal.view", "aridcal.pages.drawing.scene"),
     "scipy.optimize": ("aridcal.engine.fit.",),
-    "tornado": ("aridcal.view",),
+    "tornado": ("aridcal.view", "aridcal.runs.local_pages", "aridcal.runs.guide_server"),
     "yourdfpy": ("aridcal.engine.robot.read_back",),
     "trimesh": ("aridcal.jobs.boards.bodies", "aridcal.engine.robot.meshes"),
 }

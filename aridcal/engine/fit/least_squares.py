@@ -353,7 +353,7 @@ def fit_identifiable(
         subset = identifiable(R, order, kept)
         if sorted(subset.independent) == kept:
             break
-    if groups and result.numbers < plenty * len(kept):
+    if any(groups) and result.numbers < plenty * len(kept):
         result, subset = _fit_few_rows(problem, order, groups, replace(result, theta=theta), subset)
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)

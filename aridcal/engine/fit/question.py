@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from aridcal.engine.corrections.effect_kind import Declaration
 from aridcal.engine.corrections.loads import Payload
-from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
-from aridcal.engine.rows.dataset import Dataset
+
+if TYPE_CHECKING:  # campaigns are read before what fits is loaded
+    from aridcal.engine.fit.least_squares import Fit
+    from aridcal.engine.rows.dataset import Dataset
 
 
 def no_starts(fit: Fit, rows: Dataset) -> list[np.ndarray]:

@@ -13,9 +13,9 @@ from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.corrections.smooth import samples_root, smooth_precision
 from aridcal.engine.fit.elimination import Projector
 from aridcal.engine.instruments.channels import Channels, columns
-from aridcal.engine.search.answers import Answers
 from aridcal.engine.search.evidence import Score
 from aridcal.engine.search.products import ColumnSource, Flat, FoldOrder, Products
+from aridcal.engine.search.state_cache import Answers
 
 PLAUSIBLE_SIZE = 5e-3
 """[m] and [rad] per unit of a basis: what joints, links and frames are wrong by in a way that changes is less."""

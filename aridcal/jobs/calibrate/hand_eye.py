@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 import pinocchio as pin
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from aridcal.engine.fit.constants import constants, has_world
 from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
@@ -189,7 +189,7 @@ def _fit_of_all(outcome: Outcome, rows: Dataset) -> tuple[Arm, Fit]:
     if further <= 0 or free.freedom <= 0:
         return "nominal", nominal
     F = (squares[0] - squares[1]) / further / (squares[1] / free.freedom)
-    if f_distribution.sf(F, further, free.freedom) > LENIENT:
+    if fdtrc(further, free.freedom, F) > LENIENT:
         return "nominal", nominal
     groups = lengths_and_angles(candidates.model.coefficients, len(frames))
     return "calibrated", fit_identifiable(candidates, order, groups, plenty=np.inf)

@@ -144,7 +144,8 @@ def in_base(setup: PlanSetup, readings: np.ndarray, pattern: np.ndarray) -> tupl
     pattern_rows = setup.patterns.select(pattern)
     rows = rows_of_data(setup.model, pattern_rows, readings)
     R, p = setup.model.poses(setup.theta, rows)
-    base = [setup.model.frames(setup.theta)[0][k][1] for k in rows.world.tolist()]
+    frames = setup.model.frames(setup.theta)[0]
+    base = [frames[k][1] for k in rows.world.tolist()]
     turn = np.array([frame.rotation for frame in base]).reshape(-1, 3, 3)
     offset = p - np.array([frame.translation for frame in base]).reshape(-1, 3)
     poses = np.swapaxes(turn, 1, 2) @ R, np.einsum("nji,nj->ni", turn, offset)

@@ -12,6 +12,7 @@ from aridcal.engine.fit.identifiable import identifiable
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.model.predictions import rows_of_data
+from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.workspace import UNTOLD_SIGMA, shifted
 from aridcal.jobs.plan.configurations import Candidates
 from aridcal.jobs.plan.prior_knowledge import PlanSetup
@@ -93,10 +94,20 @@ def measured_information(setup: PlanSetup, candidates: Candidates) -> tuple[np.n
     if not len(setup.rows):
         return beforehand, np.zeros(len(beforehand))
     weight = np.sqrt(setup.weight * setup.rows.repeats.share)
-    columns, residual = _whitened(problem(setup.model, setup.rows).agreeing(setup.theta), setup)
+    columns, residual = columns_of(setup, setup.rows)
     flat = (columns * weight[:, None, None]).reshape(-1, columns.shape[2])
     residuals = (residual * weight[:, None]).ravel()
     return np.concatenate([flat, beforehand]), np.concatenate([residuals, np.zeros(len(beforehand))])
+
+
+def columns_of(setup: PlanSetup, rows: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """All columns (N, m, D) and residuals (N, m) of measured rows, in sigmas."""
+    return _whitened(problem(setup.model, rows).agreeing(setup.theta), setup)
+
+
+def expected_rows(setup: PlanSetup) -> np.ndarray:
+    """Rows of what is stated of things and expected of coefficients beforehand, in sigmas, shape (T, D)."""
+    return _beforehand_rows(problem(setup.model, setup.patterns), setup)
 
 
 def _columns(things: int, kept: Sequence[int]) -> np.ndarray:
@@ -178,6 +189,7 @@ def target_columns(
     readings: np.ndarray,
     pattern: int,
     parts: Sequence[Sequence[int]] = (),
+    turns: bool = False,
 ) -> np.ndarray:
     """How the target, or the campaign's own point on it, moves in some configurations with the unknowns, shape (R, 3, D), [m].
 
@@ -187,6 +199,7 @@ def target_columns(
         readings: Shape (R, columns).
         pattern: Of the rows.
         parts: Coefficients of the model; the target moved by each of these sets alone, one after the other. None: by all.
+        turns: Also how it turns, [rad]: the shape is then (R, 6, D).
     """
     pattern_rows = setup.patterns.select(np.full(len(readings), pattern))
     rows = rows_of_data(setup.model, pattern_rows, readings)
@@ -195,9 +208,10 @@ def target_columns(
     J = shifted(J, R @ tool) if tool.any() else J
     parts_columns = []
     for part in parts or [unknowns.coefficients]:
-        columns = np.zeros((len(readings), 3, unknowns.things + len(unknowns.coefficients)))
+        numbers = 6 if turns else 3
+        columns = np.zeros((len(readings), numbers, unknowns.things + len(unknowns.coefficients)))
         for place, k in enumerate(unknowns.coefficients):
             if k in part:
-                columns[:, :, unknowns.things + place] = J[:, :3, k]
+                columns[:, :, unknowns.things + place] = J[:, :numbers, k]
         parts_columns.append(columns)
     return np.concatenate(parts_columns)

@@ -159,7 +159,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             f"{campaign.path}: measurements.kind: nothing was measured yet, and nothing else says how the body lies in the hands "
             "that hold it: move both arms with it to a few postures, record them, and plan more rows of that grasp"
         )
-    setup = _from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
+    setup = from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
     return replace(setup, notices=(*remarks, *setup.notices))
 
 
@@ -195,7 +195,7 @@ def _from_rows(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progr
         notices.append(f"planned are rows of the first block, {campaign.measurements.title}")
     if rows.labels.station is not None and labels:
         notices.append(f"planned are rows at the station of the last row, {rows.labels.station[rows.as_read[-1]]}")
-    patterns = _patterns(rows)
+    patterns = patterns_of(rows)
     if campaign.measurements.links is not None:
         notices.append(GRASP_NOTICE.format(*campaign.measurements.links, patterns.labels.refers[0, 0]))
     return PlanSetup(
@@ -229,7 +229,7 @@ def _side(campaign: Campaign, robot: Robot, readings: np.ndarray) -> float:
     return side if side and keeps_above(robot, side, readings, flanges).all() else 0.0
 
 
-def _patterns(rows: Dataset) -> Dataset:
+def patterns_of(rows: Dataset) -> Dataset:
     """One row for everything that rows of the first block refer to, at the station of the last row, held as there."""
     usable = rows.labels.block == 0
     if rows.blocks[0].traits.joins:
@@ -250,7 +250,7 @@ def _patterns(rows: Dataset) -> Dataset:
     return replace(patterns, covariates=typical, relative=None).with_repeats(share=1.0)
 
 
-def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> PlanSetup:
+def from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> PlanSetup:
     """The setup before any row: the nominal robot, with frames and things where the campaign's hints say."""
     settings = campaign.measurements
     if campaign.question.by_station:

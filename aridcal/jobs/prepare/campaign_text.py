@@ -20,10 +20,10 @@ from aridcal.files.campaign import Campaign
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable, read_tables
 from aridcal.files.yaml_file import parse_settings
+from aridcal.jobs.prepare.alternative_reading import mended
 from aridcal.jobs.prepare.camera_side import best_side
 from aridcal.jobs.prepare.campaign_proposal import QUESTIONS, propose
 from aridcal.jobs.prepare.guesses import Choose, Chooser, Guess, Proposal
-from aridcal.jobs.prepare.mended import mended
 from aridcal.jobs.prepare.table_formats import best_dialect, dialects_of, say_table
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import Dialect

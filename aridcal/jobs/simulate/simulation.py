@@ -58,6 +58,9 @@ class Simulation:
         outliers: Which rows are grossly wrong, shape (N,) bool, those of one block after those of another.
         images: For `kind: camera_sonar`: JPEG files by their names.
         real: Things that the rows refer to, by role.
+        model: The machine with its effects, of a tracker without faults; None of other kinds.
+        theta: Its true coefficients.
+        columns: Of the table beside joints and measurements, what effects depend on.
     """
 
     scenario: Scenario
@@ -69,6 +72,9 @@ class Simulation:
     outliers: np.ndarray
     images: Mapping[str, bytes] = field(default_factory=dict)
     real: Mapping[str, RealThings] = field(default_factory=dict)
+    model: Model | None = None
+    theta: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    columns: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def measurements(self) -> pd.DataFrame:
@@ -126,8 +132,8 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
 
     images: dict[str, bytes] = {}
     if head is None or optics is None:
-        position, rotation, outlier_rows = _with_noise(truth, R, p, noise, outliers)
-        table = _table(scenario, robot, readings, columns, position, rotation)
+        position, rotation, outlier_rows = with_noise(truth, R, p, noise, outliers)
+        table = table_of(scenario, robot, readings, columns, position, rotation)
     else:
         real_head, of_head = true_head(scenario, robot, head, chance)
         causes = [*causes, *of_head]
@@ -145,6 +151,9 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
         causes=tuple(causes),
         outliers=outlier_rows,
         images=images,
+        model=model if head is None else None,
+        theta=theta_true,
+        columns=columns,
     )
 
 
@@ -192,7 +201,7 @@ def _streams(seed: int) -> list[np.random.Generator]:
     return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(6)]
 
 
-def _with_noise(
+def with_noise(
     truth: Truth, R: np.ndarray, p: np.ndarray, noise: np.random.Generator, outliers: np.random.Generator
 ) -> tuple[np.ndarray, Rotation, np.ndarray]:
     """Poses as an instrument measures them: noise in world axes, some rows off by so many sigmas in a random direction.
@@ -207,8 +216,8 @@ def _with_noise(
     Returns:
         Positions, shape (n, 3), [m]; rotations exp(noise) R; and which rows are wrong, shape (n,) bool.
     """
-    outlier_rows = np.zeros(truth.n, dtype=bool)
-    in_sigmas = noise.standard_normal((truth.n, 6))
+    outlier_rows = np.zeros(len(p), dtype=bool)
+    in_sigmas = noise.standard_normal((len(p), 6))
     if truth.outliers is not None:
         count = round(truth.outliers.share * truth.n)
         outlier_rows[outliers.permutation(truth.n)[:count]] = True
@@ -372,7 +381,7 @@ def truth_document(simulation: Simulation) -> dict[str, Any]:
     }
 
 
-def _table(
+def table_of(
     scenario: Scenario,
     robot: Robot,
     readings: np.ndarray,

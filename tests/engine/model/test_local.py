@@ -114,7 +114,7 @@ def test_what_is_known_of_a_point_is_the_same_with_a_column_for_each() -> None:
         Knowledge(fit, own, follows, np.array([[4e-6, 1e-6], [1e-6, 9e-6]]), seen).over(question.data, *asked)
         for own in (local, wide)
     )
-    for name in ("places", "covariance", "turns", "told", "turns_told"):
+    for name in ("places", "covariance", "turns", "observable", "turns_told"):
         np.testing.assert_allclose(getattr(found, name), getattr(known, name), rtol=1e-9, atol=1e-16, err_msg=name)
     assert known.observable.any() or known.turns_told.any()
 

@@ -146,7 +146,7 @@ def test_the_arm_is_better_for_it_and_says_how_well_it_is_known():
 
 def test_every_candidate_moves_numbers_of_the_head_and_has_a_unit():
     things = head_things(START)
-    known = candidates(ObservedRows(ARID, {}, (), held=things.held), KINDS_OF_HEAD)
+    known = candidates(ObservedRows(ARID, {}, (), stated_components=things.held), KINDS_OF_HEAD)
     assert len(known) == 4 + 2 + 1 + 5 + 5
     for e in known:
         moving = [START.role.moved_by(c.where, c.component) for c in e.coefficients]
@@ -164,6 +164,6 @@ def test_every_candidate_moves_numbers_of_the_head_and_has_a_unit():
 )
 def test_an_effect_that_the_head_cannot_have_is_refused_by_name(asked, message):
     given, _ = shots(1, START, more=f"effects: [{asked}]")
-    rows = ObservedRows(ARID, {}, (), held=head_things(START).held)
+    rows = ObservedRows(ARID, {}, (), stated_components=head_things(START).held)
     with pytest.raises(CampaignError, match=message):
         declared(rows, given.campaign.effects[0], "campaign.yaml")

@@ -1,0 +1,159 @@
+"""Which pose to measure next: the one that tells most beside what is there, and that the arm gets to from here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.jobs.guide.posterior import Posterior
+from aridcal.jobs.plan.configurations import Candidates, allowed, draw_candidates, ends
+from aridcal.jobs.plan.information import CandidateInformation, stack_by_candidate, target_columns, whitened
+from aridcal.jobs.plan.row_exchange import RowChoice, gain_of_rows, rms_sigma, updated
+
+POOL = 600
+"""Configurations to choose from: the best of as many is within some per cent of the best of all."""
+
+PLACES = 100
+"""Places of the region: their mean is known to a tenth, and the same ones count for every choice."""
+
+AS_GOOD = 0.97
+"""Share of the best worth from which the nearest pose is taken: the way there costs time, too."""
+
+TURN_STEP, SLIDE_STEP = 0.05, 0.02
+"""[rad] and [m] between two looks at the way to a pose: of an arm of a metre its end goes 5 cm, half of what an arm is thick."""
+
+NEAR = 0.2
+"""[rad] or [m] within which a rejected pose's neighbours are rejected, too."""
+
+WAYS = 150
+"""Work: Poses to which a way is sought: where none of the best has one, the arm is boxed in, and the user finds a way."""
+
+AHEAD = 10
+"""Rows ahead that say whether more of them gain anything."""
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Configurations that can be measured, C of them, as the posterior sees them.
+
+    Attributes:
+        candidates: The configurations.
+        choice: Their rows in sigmas, and how the target moves over the region.
+    """
+
+    candidates: Candidates
+    choice: RowChoice
+
+
+def drawn(posterior: Posterior, rng: np.random.Generator) -> Candidates:
+    """Configurations that can be measured."""
+    return draw_candidates(posterior.setup, POOL, 1, rng)
+
+
+def pool(posterior: Posterior, candidates: Candidates, region: np.ndarray, here: np.ndarray | None) -> Pool:
+    """The configurations as the posterior sees them.
+
+    Args:
+        posterior: K coefficients beside the unknowns of things.
+        candidates: The configurations.
+        region: Readings where the target is to be known, shape (R, columns).
+        here: Readings of the last pose, shape (columns,), from where joints come to the next; None before any.
+    """
+    if here is not None:
+        candidates = replace(candidates, sides=np.where(candidates.readings >= here, 1.0, -1.0))
+    rows = stack_by_candidate(whitened(posterior.setup, candidates), candidates)
+    target = region_columns(posterior, region)[:, :3]
+    ones = np.ones(len(target))
+    return Pool(candidates, RowChoice(rows, posterior.information, target, ones, posterior.things, "A"))
+
+
+def region_columns(posterior: Posterior, region: np.ndarray) -> np.ndarray:
+    """How each target moves and turns with the unknowns at places of the region, shape (R, 6, D)."""
+    setup, things = posterior.setup, posterior.things
+    every = tuple(range(len(setup.theta)))
+    unknowns = CandidateInformation(np.zeros(0), np.zeros(0), np.zeros(0), things, every, np.zeros(0))
+    return np.concatenate([target_columns(setup, unknowns, region, k, turns=True) for k in ends(setup)])
+
+
+def worth(some: Pool, posterior: Posterior) -> np.ndarray:
+    """Share of the target's mean variance that each configuration takes away, shape (C,)."""
+    covariance = posterior.covariance
+    solved = np.zeros((some.choice.solved_for, some.choice.solved_for))
+    gain = gain_of_rows(some.choice, some.choice.rows, covariance, solved, 1.0)
+    return np.asarray(gain / max(float(np.sum(covariance * some.choice.averaged)), np.finfo(float).tiny))
+
+
+def best_first(
+    some: Pool, gain: np.ndarray, posterior: Posterior, here: np.ndarray | None, rejected: Sequence[np.ndarray]
+) -> Iterator[int]:
+    """Configurations, the one to measure next first: those that are reached from here by a straight way of the joints.
+
+    Args:
+        some: C configurations.
+        gain: Of each, see :func:`worth`.
+        posterior: Says where the arm keeps clear.
+        here: Readings of the last pose, shape (columns,); None before any.
+        rejected: Readings of poses that the user does not want.
+    """
+    readings = some.candidates.readings
+    usable = np.ones(len(readings), dtype=bool)
+    for pose in rejected:
+        usable &= np.abs(readings - pose).max(axis=1) > NEAR
+    left = np.flatnonzero(usable).tolist()
+    far = np.zeros(len(readings)) if here is None else np.abs(readings - here).max(axis=1)
+    if here is not None and not allowed(posterior.setup, here[None], some.candidates.first[:1]).all():
+        here = None  # the arm stands where plans do not: how it gets out of there, only the user sees
+    tries = 0
+    while left and tries < WAYS:
+        top = max(gain[k] for k in left)
+        good = [k for k in left if gain[k] >= AS_GOOD * top]
+        k = min(good, key=lambda k: far[k])
+        left.remove(k)
+        tries += here is not None
+        if here is None or reaches(posterior, here, readings[k], int(some.candidates.first[k])):
+            yield k
+
+
+def reaches(posterior: Posterior, here: np.ndarray, there: np.ndarray, pattern: int) -> bool:
+    """Whether the arm keeps clear on the straight way of the joints from one pose to another.
+
+    Args:
+        posterior: Has the arm and what it keeps out of.
+        here: Readings, shape (columns,).
+        there: Likewise.
+        pattern: Of what is measured there.
+    """
+    setup = posterior.setup
+    step = np.array([SLIDE_STEP if kind == "prismatic" else TURN_STEP for kind in setup.robot.kinds])
+    count = max(2, int(np.ceil(np.max(np.abs(there - here) / step))) + 1)
+    way = here + np.linspace(0.0, 1.0, count)[1:, None] * (there - here)
+    return bool(allowed(setup, way, np.full(len(way), pattern)).all())
+
+
+def gain_ahead(some: Pool, posterior: Posterior) -> float:
+    """Share by which the target's sigma becomes smaller with the next rows, :data:`AHEAD` of them, each the best."""
+    covariance, choice = posterior.covariance, some.choice
+    before = float(np.sum(covariance * choice.averaged))
+    solved = np.zeros((choice.solved_for, choice.solved_for))
+    for _ in range(AHEAD):
+        k = int(np.argmax(gain_of_rows(choice, choice.rows, covariance, solved, 1.0)))
+        covariance = updated(covariance, choice.rows[k], 1.0)
+    after = float(np.sum(covariance * choice.averaged))
+    return 1.0 - float(np.sqrt(max(after, 0.0) / max(before, np.finfo(float).tiny)))
+
+
+def told_by(some: Pool, k: int, posterior: Posterior) -> list[str]:
+    """Places of whose errors a configuration tells most, as far as the target feels them: two at the most."""
+    covariance, things = posterior.covariance, posterior.things
+    less = np.diag(covariance - updated(covariance, some.choice.rows[k], 1.0)) * np.diag(some.choice.averaged)
+    of_place: dict[str, float] = {}
+    for c, value in zip(posterior.setup.model.coefficients, less[things:].tolist(), strict=True):
+        of_place[c.where] = of_place.get(c.where, 0.0) + value
+    return sorted(of_place, key=lambda where: -of_place[where])[:2]
+
+
+def sigma_of(some: Pool) -> float:
+    """RMS over the region of the target's sigma, [m]."""
+    return rms_sigma(some.choice, some.choice.prior_information)

@@ -1,0 +1,277 @@
+r"""What all rows so far say together: the model of a plan with a prior for everything, fitted, and followed row by row.
+
+About the fit everything is linear: with F the columns of a row in units of its noise and r its residual,
+
+.. math:: M \leftarrow M + F^T F, \qquad g \leftarrow g + F^T r, \qquad \delta = M^{-1} g
+
+so that each row of a batch is judged beside all before it at the price of some small matrices; then the fit is made anew, from
+where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from aridcal.engine.corrections.effect import ANGULAR, MOUNTING_FRAMES, Coefficient
+from aridcal.engine.fit.constants import station_labels
+from aridcal.engine.fit.least_squares import NUMBERS_THAT_TELL_NOISE, fit
+from aridcal.engine.fit.normal_equations import Prior
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import REACH_ANGLE, REACH_LENGTH
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.dataset import Dataset, with_sigma
+from aridcal.engine.search.loop import fit_constants
+from aridcal.engine.trust.workspace import UNTOLD_SIGMA
+from aridcal.files.campaign import Campaign
+from aridcal.jobs.plan.information import columns_of, expected_rows
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, patterns_of
+from aridcal.system.errors import AridcalError, NotOfThisRobot
+
+USUAL_SHARE = 0.1
+"""Of :data:`REACH_ANGLE` and :data:`REACH_LENGTH`, which are ten times what robots are usually wrong by."""
+
+PRIOR_WEIGHT = 4.0
+"""Coefficients for which the usual size of a group counts beside its own: the size is then known to a third before any row."""
+
+NOISE_WEIGHT = 4.0
+"""Numbers for which the noise of a good instrument counts where none is declared."""
+
+FEWEST_TO_BEGIN = 3
+"""Configurations from which frames can be found in closed form: two poses leave a turn open."""
+
+SPARE = 6
+"""Numbers beyond the unknowns of the frames that must be measured to begin: as many as one pose has. With fewer, other frames
+explain three places as well."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """The unknowns of a plan as the rows so far tell them: D of them, those of things first.
+
+    Attributes:
+        setup: Model, values and noise at the last fit; its prior in the sizes that the rows suggest.
+        base: The prior before any row, shape (K,).
+        information: M, shape (D, D).
+        pull: g, shape (D,): zero at the fit.
+        freedom: Numbers measured beyond those that unknowns took up.
+    """
+
+    setup: PlanSetup
+    base: np.ndarray
+    information: np.ndarray
+    pull: np.ndarray
+    freedom: float
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of the unknowns, shape (D, D)."""
+        return inverse(self.information)
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """Where the unknowns are beside the last fit, shape (D,)."""
+        return np.asarray(self.covariance @ self.pull)
+
+    @property
+    def things(self) -> int:
+        """Number of unknowns of things."""
+        return len(self.information) - len(self.setup.theta)
+
+    def columns(self, rows: Dataset) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (N, m, D) and residuals (N, m) of rows at the last fit, in sigmas."""
+        return columns_of(self.setup, rows)
+
+    def with_rows(self, F: np.ndarray, r: np.ndarray, sign: float = 1.0) -> Posterior:
+        """The posterior with more rows, columns (n, m, D) and residuals (n, m); or without them (sign -1)."""
+        flat = F.reshape(-1, F.shape[-1])
+        return replace(
+            self,
+            information=self.information + sign * flat.T @ flat,
+            pull=self.pull + sign * flat.T @ r.ravel(),
+        )
+
+
+def inverse(information: np.ndarray) -> np.ndarray:
+    """Inverse of information, shape (D, D), unknowns scaled alike: lengths, turns and pixels differ by orders."""
+    scale = 1.0 / np.sqrt(np.diag(information))
+    return np.asarray(np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))
+
+
+def expected(setup: PlanSetup) -> np.ndarray:
+    """Standard deviation that is expected of each coefficient before any row, shape (K,).
+
+    Frames and instruments may be anywhere within :data:`LOOSE` of where closed forms have them; constants are off by what is
+    usual.
+    """
+    sizes = setup.model.sizes
+    usual = np.array([_usual(c) for c in setup.model.coefficients]) * sizes
+    return np.where(np.isfinite(setup.prior), setup.prior, usual)
+
+
+def _usual(c: Coefficient) -> float:
+    """Usual size of a constant of the arm; :data:`LOOSE` of all else."""
+    if c.where in MOUNTING_FRAMES or not c.basis.constant or c.component not in _COMPONENTS:
+        return UNTOLD_SIGMA
+    return USUAL_SHARE * (REACH_ANGLE if c.component in ANGULAR else REACH_LENGTH)
+
+
+_COMPONENTS = ANGULAR | {"x", "y", "z", "a", "d"}
+
+
+def before_rows(setup: PlanSetup) -> Posterior:
+    """What is known before any row."""
+    base = expected(setup)
+    setup = replace(setup, prior=base)
+    flat = expected_rows(setup)
+    D = flat.shape[1]
+    loose = np.diag(1.0 / UNTOLD_SIGMA**2 * np.r_[np.ones(D - len(base)), np.zeros(len(base))])
+    return Posterior(setup, base, flat.T @ flat + loose, np.zeros(D), 0.0)
+
+
+def begun(campaign: Campaign, robot: Robot, setup: PlanSetup, rows: Dataset) -> PlanSetup | None:
+    """The setup with its frames, and what the rows refer to, where closed forms have them; None where rows are too few.
+
+    Args:
+        campaign: Says which frames are unknown.
+        robot: The nominal chain.
+        setup: Before any row.
+        rows: N of them.
+
+    Raises:
+        NotOfThisRobot: the rows cannot be of this robot.
+    """
+    if len(np.unique(rows.repeats.configuration)) < FEWEST_TO_BEGIN:
+        return None
+    question = replace(campaign.question, constants="none", effects=(), sought=())
+    frames = [c for c in setup.model.coefficients if c.where in MOUNTING_FRAMES and c.basis.constant]
+    sizes = np.array([channel.size for channel in rows.channels])
+    if float((rows.measures @ sizes).sum()) < len(frames) + SPARE:
+        return None
+    try:
+        geometry = fit_constants(question, robot, rows, station_labels(question, rows)).geometric
+    except NotOfThisRobot:
+        raise
+    except (AridcalError, np.linalg.LinAlgError):  # these rows leave something open: more will not
+        return None
+    known = geometry.model
+    others = [k for k, c in enumerate(setup.model.coefficients) if c.name not in set(known.names)]
+    # Of frames what these rows do not tell of them stays open, as a slip may be along just that.
+    labels = {
+        "world_base": {name for name, _ in known.world_base},
+        "tip_target": {name for name, _ in known.tip_target},
+    }
+    of_frames = [setup.model.coefficients[k] for k in others]
+    others = [k for k, c in zip(others, of_frames, strict=True) if c.station in labels.get(c.where, {c.station})]
+    coefficients = (*known.coefficients, *(setup.model.coefficients[k] for k in others))
+    return replace(
+        setup,
+        model=replace(
+            known.with_coefficients(coefficients), around=replace(setup.model.around, sights=known.around.sights)
+        ),
+        theta=np.zeros(len(coefficients)),
+        prior=np.r_[np.full(len(known.coefficients), np.inf), setup.prior[others]],
+        patterns=_now(patterns_of(rows)),
+    )
+
+
+def _now(patterns: Dataset) -> Dataset:
+    """Patterns of rows to come: after every step."""
+    return patterns.with_origin(order=np.full(len(patterns), np.inf))
+
+
+def fitted(before: Posterior, rows: Dataset, weight: np.ndarray) -> Posterior:
+    """The posterior of all rows, fitted anew from where it was.
+
+    Args:
+        before: Its model and values begin; its noise and sizes are improved by one step.
+        rows: All N of them.
+        weight: 1 of rows in use, 0 of others, shape (N,).
+    """
+    setup = before.setup
+    K = len(setup.theta)
+    rows = rows.select(weight > 0.0)
+    in_noise = with_sigma(rows, setup.sigma.tolist())
+    things = before.things
+    start = setup.theta + before.step[things:]
+    prior = Prior(np.zeros(K), np.diag(setup.prior**-2.0))
+    made = fit(problem(setup.model, in_noise), start, np.ones(len(rows)), prior)
+    sizes = _sizes(before.base, setup, made.theta, np.diag(made.covariance))
+    setup = replace(
+        setup,
+        model=made.model,
+        theta=made.theta,
+        prior=sizes,
+        sigma=_noise(setup.sigma, rows, made.estimated, made.freedom),
+        rows=rows,
+        weight=np.ones(len(rows)),
+    )
+    F, r = columns_of(setup, rows)
+    flat = F.reshape(-1, F.shape[2])
+    beforehand = expected_rows(setup)
+    M = flat.T @ flat + beforehand.T @ beforehand
+    things = len(M) - K
+    M[:things, :things] += np.eye(things) / UNTOLD_SIGMA**2
+    pull = flat.T @ r.ravel()
+    pull[things:] -= made.theta / sizes**2
+    return Posterior(setup, before.base, M, pull, max(made.freedom, 0.0))
+
+
+def _sizes(base: np.ndarray, setup: PlanSetup, theta: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    r"""Standard deviation expected of each coefficient, in sizes that the rows suggest, shape (K,).
+
+    .. math:: s_g^2 = (\nu + \sum_k (\theta_k^2 + \Sigma_{kk}) / \sigma_k^2) / (\nu + n_g)
+
+    One step of the EM algorithm (Laird and Ware 1982) with the usual size for :data:`PRIOR_WEIGHT` coefficients. Frames keep
+    theirs.
+    """
+    sizes = base.copy()
+    keys = [_group(c) for c in setup.model.coefficients]
+    for key in dict.fromkeys(keys):
+        if key:
+            some = np.array([k for k, other in enumerate(keys) if other == key])
+            squares = float(np.sum((theta[some] ** 2 + np.maximum(variance[some], 0.0)) / base[some] ** 2))
+            sizes[some] *= np.sqrt((PRIOR_WEIGHT + squares) / (PRIOR_WEIGHT + len(some)))
+    return sizes
+
+
+def _group(c: Coefficient) -> str:
+    """What a coefficient shares its size with; nothing of frames, things and what moved."""
+    if c.where in MOUNTING_FRAMES or c.component not in _COMPONENTS | {"axis", "t1", "t2", "r1", "r2"}:
+        return ""
+    if c.basis.constant:
+        return "turns" if c.component in ANGULAR else "lengths"
+    of = c.basis.of[0] if c.basis.of else ""
+    return "sides" if of.endswith("_direction") else "waves" if c.basis.form in ("sin", "cos") else c.basis.form
+
+
+def _noise(before: np.ndarray, rows: Dataset, estimated: np.ndarray, freedom: float) -> np.ndarray:
+    """Noise of each channel, shape (C,): as declared, else between a good instrument's and what the rows scatter by."""
+    undeclared = np.array([sigma is None for sigma in rows.sigma])
+    nu = max(freedom - NUMBERS_THAT_TELL_NOISE, 0.0)
+    mixed = np.sqrt((NOISE_WEIGHT * before**2 + nu * estimated**2) / (NOISE_WEIGHT + nu))
+    return np.where(undeclared, mixed, before)
+
+
+def moved_by(posterior: Posterior, more: Sequence[Coefficient], std: float) -> Posterior:
+    """The posterior with coefficients of something that moved, before any row tells them.
+
+    Args:
+        posterior: Without them.
+        more: The coefficients.
+        std: What is expected of each.
+    """
+    setup = posterior.setup.with_coefficients(tuple(more), np.full(len(more), std))
+    n = len(posterior.information) + len(more)
+    M = np.eye(n) / std**2
+    M[: n - len(more), : n - len(more)] = posterior.information
+    return Posterior(
+        setup,
+        np.r_[posterior.base, np.full(len(more), std)],
+        M,
+        np.r_[posterior.pull, np.zeros(len(more))],
+        posterior.freedom,
+    )

@@ -1,0 +1,730 @@
+"""A campaign that is being measured: what is said to each row, which pose is next, when it is enough."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, MOUNTING_FRAMES, ROW_ORDER, Coefficient
+from aridcal.engine.instruments.channels import columns
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.files.campaign import Campaign
+from aridcal.files.counting import counting
+from aridcal.files.orientations import column_of
+from aridcal.jobs.guide.accuracy import DRAWS, Beside, bound
+from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop, Why
+from aridcal.jobs.guide.growing_table import GrowingTable
+from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, beside_others, verdict
+from aridcal.jobs.guide.movement import Moved, moved
+from aridcal.jobs.guide.next_pose import (
+    PLACES,
+    POOL,
+    Pool,
+    best_first,
+    drawn,
+    gain_ahead,
+    pool,
+    reaches,
+    region_columns,
+    told_by,
+    worth,
+)
+from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by
+from aridcal.jobs.guide.row_reading import RowsSoFar, rows_so_far
+from aridcal.jobs.guide.shown_effects import left_out
+from aridcal.jobs.guide.table_facts import Oddity, in_other_units, not_renewed, oddities, refusal
+from aridcal.jobs.plan.configurations import Candidates, draw_candidates, offers
+from aridcal.jobs.plan.information import whitened
+from aridcal.jobs.plan.prior_knowledge import bodies, from_nothing
+from aridcal.jobs.plan.target_region import region_readings
+from aridcal.jobs.plan.usual_effects import with_stated_effects, with_usual_effects
+from aridcal.system.errors import CampaignError, NotOfThisRobot
+
+WINDOW = 5
+"""Rows back to which a slip is looked for: one that is too small for two rows shows within some more."""
+
+GROWN = 1.15
+"""Share by which rows of one batch grow until the fit is made anew within it: what is linear about a fit lasts that long."""
+
+REPEAT_UNDECLARED, REPEAT_DECLARED = 8, 25
+"""Rows after which an earlier pose is measured again: where the noise is not declared it is told by such rows alone; elsewhere
+they say now and then that nothing moved."""
+
+POOL_LASTS = 10
+"""Rows after which other configurations are drawn."""
+
+HARDLY = 0.05
+"""Share by which ten more rows must make the target better known to be worth their time."""
+
+FORGETS = 0.95
+"""Share of what earlier errors of prediction count for, a row: some twenty rows say how far off predictions are now."""
+
+FEWEST_BESIDE = 12.0
+"""Numbers predicted without which nothing is said to be within a tolerance."""
+
+BELATED = 1e-6
+"""Probability of a good row to be off as much beside all others, below which it is called bad after all: asked of all rows again
+and again, so that it must be rarer than :data:`FALSE_ALARM`."""
+
+TURN_BACK = 0.05
+"""Probability from which on a row that was off agrees with the others after all."""
+
+SLIPPED = 3.0
+"""Times the likeliest size of a slip that each of its six numbers may have."""
+
+YOUNG = 60.0
+"""Numbers measured, ten poses, up to which a row that is off may be good, and the frames found before it wrong: they are
+sought again with it."""
+
+WITNESSES = 12
+"""Work: Earlier rows near a pose to which a way is sought, to measure one of them again."""
+
+CHECKS = 5
+"""Poses that check a calibration."""
+
+
+@dataclass
+class Session:
+    """What has been measured so far, and what is said to it; it is changed by :meth:`taken`.
+
+    Attributes:
+        campaign: What is measured.
+        robot: The nominal chain.
+        tolerance: What the target is to be known to in 95 % of the region, [m]; None: as well as can be.
+        table: Lines so far.
+        read: Them as rows.
+        good: Which lines are in use, by their index.
+        prior: What was known before any row.
+        region: Readings where the target is to be known, shape (R, columns).
+        rng: Draws configurations.
+        posterior: What is known now; None while rows are too few to say where the frames are.
+        inflation: By how much rows are off more than predicted.
+        beside: How far predictions were off.
+        candidates: Configurations to choose from.
+        drawn_at: Lines when these were drawn.
+        drawn_with: Whether frames were known then.
+        repeated_at: Rows in use when a pose was last measured again.
+        rejected: Poses that the user does not want now.
+        proposed: The last pose that was proposed.
+        suspect: Line of a row that is off, to be settled by the next one.
+        slips: Line of the first row after each slip, and the frames that may have moved.
+        off: Lines of rows that are off for no reason that they show themselves.
+        stopped: True after the end.
+        fitted_rows: Rows of the last fit.
+    """
+
+    campaign: Campaign
+    robot: Robot
+    tolerance: float | None
+    table: GrowingTable
+    read: RowsSoFar
+    good: dict[int, bool]
+    prior: Posterior
+    region: np.ndarray
+    rng: np.random.Generator
+    posterior: Posterior | None = None
+    inflation: Inflation = field(default_factory=Inflation)
+    beside: Beside = field(default_factory=Beside)
+    candidates: Candidates | None = None
+    drawn_at: int = 0
+    repeated_at: int = 0
+    rejected: tuple[np.ndarray, ...] = ()
+    suspect: int | None = None
+    slips: tuple[tuple[int, tuple[str, ...]], ...] = ()
+    off: set[int] = field(default_factory=set)
+    proposed: np.ndarray | None = None
+    drawn_with: bool = False
+    stopped: bool = False
+    fitted_rows: int = 0
+
+    # -- rows ---------------------------------------------------------------------------------------------------------------
+
+    def taken(self, new: Sequence[int]) -> list[Event]:
+        """What is said to new lines of the table.
+
+        Args:
+            new: Their indices; none: what is said before any.
+
+        Raises:
+            AridcalError: the table does not fit the campaign.
+        """
+        events: list[Event] = []
+        if new:
+            self.read = rows_so_far(self.campaign, self.robot, self.table, self.read)
+            if self.read.rows is None and len(self.table.rows) >= FEW_BAD:
+                raise CampaignError(f"{self.campaign.path}: none of the rows can be used: {self.read.refused[new[0]]}")
+            self.suspect = None
+            for k in new:
+                events += self._row(k)
+            events += self._afterwards(new)
+            self.rejected = ()
+        return [*events, *self._ahead()]
+
+    def _row(self, k: int) -> list[Event]:
+        """Judge one line beside all before it."""
+        line = self.table.line(k)
+        place = np.flatnonzero(self.read.index == k)
+        if self.read.rows is None or not len(place):
+            odd = refusal(line, self.read.refused.get(k, "cannot be used"))
+            self.good[k] = False
+            return [RowRead(line, False, (odd.words,)), Alarm(line, odd.what, odd.words, odd.do)]
+        at = int(place[0])
+        rows = self.read.rows
+        lines = np.array([self.table.line(int(j)) for j in self.read.index])
+        usable = np.array([self.good.get(int(j), False) for j in self.read.index])
+        odd_ones = list(oddities(rows, at, lines, usable))
+        bad = any(odd.bad for odd in odd_ones)
+        if not bad and self.posterior is not None:
+            more = self._beside_others(k, at, rows)
+            odd_ones += more
+            bad = any(odd.bad for odd in more)
+        self.good[k] = not bad
+        slip = [] if self.posterior is None else self._moved(at, rows)
+        if slip:  # then the row is good after all
+            odd_ones = [odd for odd in odd_ones if odd.what != "outlier"]
+        events: list[Event] = [RowRead(line, self.good[k], tuple(odd.words for odd in odd_ones))]
+        events += [Alarm(line, odd.what, odd.words, odd.do) for odd in odd_ones]
+        events += slip
+        if self.posterior is None:
+            events += self._begin(line)
+        elif sum(self.good.values()) > GROWN * self.fitted_rows:
+            self._fit()
+        return events
+
+    def _beside_others(self, k: int, at: int, rows: Dataset) -> list[Oddity]:
+        """Judge a row by its residual."""
+        assert self.posterior is not None
+        row = rows.select(np.array([at]))
+        if not self._knows(row).all():
+            return []  # a label that is new: the model begins anew with it
+        F, r = self.posterior.columns(row)
+        judged = verdict(self.posterior, F[0], r[0], self.inflation)
+        if not judged.off:
+            self._add(F, r, judged)
+            return []
+        if self._begun_wrong(k):
+            return []
+        line = self.table.line(k)
+        for words, other in in_other_units(rows, at):
+            G, s = self.posterior.columns(other)
+            if verdict(self.posterior, G[0], s[0], self.inflation).probability > TURN_BACK:
+                return [
+                    Oddity(
+                        "unit",
+                        f"row {line} is as if it were written in {words}",
+                        "check the unit in which the driver writes, and measure it again",
+                        True,
+                    )
+                ]
+        stale = not_renewed(rows, at, self.posterior.setup.sigma)
+        if stale:
+            return [
+                Oddity(
+                    "stale",
+                    f"row {line}: {stale}",
+                    "wait until arm and instrument are still, and measure it again",
+                    True,
+                )
+            ]
+        self.suspect = k
+        self.off.add(k)
+        again = self._witness(at, rows)
+        what = "the tripod or the target"
+        do = (
+            f"measure row {self.table.line(again)} again: if it is off, too, {what} moved; if not, row {line} was a bad reading"
+            if again is not None
+            else f"measure the next pose: if it is off, too, {what} moved; if not, row {line} was a bad reading"
+        )
+        return [Oddity("outlier", f"row {line} is off by {self._size(judged)}", do, True)]
+
+    def _begun_wrong(self, k: int) -> bool:
+        """Whether frames sought again with an early row explain it and all before it; they are then gone on with."""
+        before, rows_of_fit, good = self.posterior, self.fitted_rows, dict(self.good)
+        used = [j for j, is_good in self.good.items() if is_good or j in self.off]
+        assert before is not None
+        if len(used) * sum(channel.size for channel in before.setup.patterns.channels) > YOUNG or self.slips:
+            return False
+        self.good = good | dict.fromkeys([*used, k], True)
+        self.posterior = None
+        self._begin(0)
+        if self.posterior is not None:
+            rows, weight = self._in_use()
+            F, r = self.posterior.columns(rows.select(weight > 0.0))
+            if beside_others(self.posterior, F, r, self.inflation).min() > FALSE_ALARM:
+                self.off -= {*used, k}
+                return True
+        self.posterior, self.fitted_rows, self.good = before, rows_of_fit, good
+        return False
+
+    def _add(self, F: np.ndarray, r: np.ndarray, judged: Verdict) -> None:
+        """Let a good row count."""
+        assert self.posterior is not None
+        self.inflation = self.inflation.with_row(judged)
+        first = columns(self.posterior.setup.patterns.channels)[0]
+        measured = np.any(F[0] != 0.0, axis=1)
+        if measured[first].all() and len(judged.error) >= first.stop:
+            sigma = self.posterior.setup.sigma[0]
+            variance = np.diag(judged.spread)[first] / self.inflation.variance * sigma**2
+            self.beside = self.beside.with_row(judged.error[first] * sigma, variance, FORGETS)
+        self.posterior = self.posterior.with_rows(F, r)
+
+    def _size(self, judged: Verdict) -> str:
+        """How far off a row is, in words."""
+        assert self.posterior is not None
+        channels = self.posterior.setup.patterns.channels
+        parts = []
+        if len(judged.error) == sum(channel.size for channel in channels):
+            for channel, part, sigma in zip(channels, columns(channels), self.posterior.setup.sigma, strict=True):
+                parts.append(f"{np.linalg.norm(judged.error[part]) * sigma * channel.scale:.3g} {channel.shown}")
+        return f"{', '.join(parts)}, {judged.sigmas:.1f} sigma".lstrip(", ")
+
+    def _witness(self, at: int, rows: Dataset) -> int | None:
+        """The line of an earlier good row that the arm gets to from this pose, to be measured again; None if there is none."""
+        earlier = [j for j in range(at) if self.good.get(int(self.read.index[j]))]
+        earlier.sort(key=lambda j: float(np.abs(rows.readings[j] - rows.readings[at]).max()))
+        now = self._now()
+        for j in earlier[:WITNESSES]:
+            if reaches(now, rows.readings[at], rows.readings[j], 0):
+                return int(self.read.index[j])
+        return None
+
+    def _moved(self, at: int, rows: Dataset) -> list[Event]:
+        """Look whether a frame moved within the last rows."""
+        assert self.posterior is not None
+        setup, things = self.posterior.setup, self.posterior.things
+        judged = [j for j in range(max(0, at - WINDOW + 1), at + 1) if self._judges(int(self.read.index[j]))]
+        judged = [j for j, known in zip(judged, self._knows(rows)[judged], strict=True) if known]
+        if len(judged) < 2 or all(self.good[int(self.read.index[j])] for j in judged):
+            return []
+        names = setup.model.names
+        F, r = self.posterior.columns(rows.select(np.array(judged)))
+        found: list[Moved] = []
+        before = self.posterior
+        in_use = [self.good[int(self.read.index[j])] for j in judged]
+        for first in range(len(judged) - 1, -1, -1):
+            if in_use[first]:
+                before = before.with_rows(F[first : first + 1], r[first : first + 1], -1.0)
+            if first == len(judged) - 1:
+                continue
+            parts = [np.any(row != 0.0, axis=1) for row in F[first:]]
+            flat = np.concatenate([row[part] for row, part in zip(F[first:], parts, strict=True)])
+            residual = np.concatenate([row[part] for row, part in zip(r[first:], parts, strict=True)])
+            error = residual - flat @ before.step
+            spread = self.inflation.variance * (np.eye(len(error)) + flat @ before.covariance @ flat.T)
+            by_frame = {}
+            for where in MOUNTING_FRAMES:
+                some = [things + names.index(f"{where}.{c}") for c in FRAME_COMPONENTS if f"{where}.{c}" in names]
+                if some:
+                    by_frame[where] = flat[:, some]
+            split = np.split(error, np.cumsum([int(part.sum()) for part in parts])[:-1])
+            answer = moved(split, spread, by_frame, judged[first])
+            found += [answer] if answer else []
+        if not found:
+            return []
+        best = max(found, key=lambda one: one.odds)
+        return self._slip(best, rows, at)
+
+    def _slip(self, best: Moved, rows: Dataset, at: int) -> list[Event]:
+        """Go on with a frame that is elsewhere since a row."""
+        assert self.posterior is not None
+        first = int(self.read.index[best.first])
+        line = self.table.line(first)
+        step = Basis("step", (ROW_ORDER,), (line - 0.5,))
+        more = [
+            Coefficient(where, c, step)
+            for where in best.frames
+            for c in FRAME_COMPONENTS
+            if f"{where}.{c}" in self.posterior.setup.model.names
+        ]
+        for j in self.read.index[best.first : at + 1].tolist():
+            self.good[j] = self.good[j] or self._judges(j)
+        self.posterior = moved_by(self.posterior, more, SLIPPED * best.size)
+        self.slips = (*self.slips, (first, best.frames))
+        self.suspect = None
+        self._fit()
+        words = {"world_base": "the tripod (or the robot's base)", "tip_target": "the target"}
+        names = " or ".join(words[where] for where in best.frames)
+        return [
+            Alarm(
+                line,
+                "slip",
+                f"{names} moved before row {line}: since then all rows are off alike",
+                "fasten it where it is now and go on: rows before and after are both used, each with its own place; do not "
+                "put it back",
+            )
+        ]
+
+    def _judges(self, k: int) -> bool:
+        """Whether a line says anything of slips: it is good, or off for no other reason."""
+        return self.good.get(k, False) or k in self.off
+
+    def serves(self, k: int) -> bool:
+        """Whether a line is a row for the full search, which judges by itself which rows are outliers."""
+        return self._judges(k)
+
+    def _knows(self, rows: Dataset) -> np.ndarray:
+        """Rows of which the model knows all that they refer to, shape (n,) bool."""
+        assert self.posterior is not None
+        model = self.posterior.setup.model
+        knows = np.ones(len(rows), dtype=bool)
+        if rows.labels.target is not None:
+            knows &= np.isin(rows.labels.target.astype(str), [str(name) for name, _ in model.tip_target])
+        for k, role in enumerate(rows.blocks[0].traits.roles):
+            things = model.instruments.things.get(role.name)
+            if things is not None:
+                knows &= np.isin(rows.labels.refers[:, k], ["", *things.names])
+        return knows
+
+    # -- fits ---------------------------------------------------------------------------------------------------------------
+
+    def _in_use(self) -> tuple[Dataset, np.ndarray]:
+        """All rows, and the weight of each."""
+        assert self.read.rows is not None
+        return self.read.rows, np.array([float(self.good.get(int(k), False)) for k in self.read.index])
+
+    def _begin(self, line: int) -> list[Event]:
+        """Find frames and things from the rows so far, if they are enough."""
+        if self.read.rows is None:
+            return []
+        rows, weight = self._in_use()
+        rows, weight = rows.select(weight > 0.0), weight[weight > 0.0]
+        try:
+            setup = begun(self.campaign, self.robot, self.prior.setup, rows) if len(rows) else None
+        except NotOfThisRobot as error:
+            if len(rows) < FEW_STRANGE:
+                return []
+            return [Alarm(line, "robot", str(error), "check the campaign, or let `aridcal init` read this table")]
+        if setup is not None:
+            self.posterior = before_rows(setup)
+            self._fit()
+            self._fit()  # in the noise and the sizes that the first one suggests
+        return []
+
+    def _fit(self) -> None:
+        """Fit all rows in use anew."""
+        assert self.posterior is not None
+        rows, weight = self._in_use()
+        self.posterior = fitted(self.posterior, rows, weight * self._knows(rows))
+        self.fitted_rows = int(weight.sum())
+
+    def _afterwards(self, new: Sequence[int]) -> list[Event]:
+        """Fit anew after a batch, and look at earlier rows again."""
+        if self.posterior is None:
+            return []
+        rows, weight = self._in_use()
+        if (~self._knows(rows) & (weight > 0.0)).any():  # with what is new the model begins anew
+            before, self.posterior = self.posterior, None
+            self._begin(0)
+            self.posterior = self.posterior or before
+        self._fit()
+        return self._belated(set(new))
+
+    def _belated(self, new: set[int]) -> list[Event]:
+        """Rows that turn out bad beside those after them, and rows that turn out good."""
+        assert self.posterior is not None
+        rows, weight = self._in_use()
+        places = np.flatnonzero(self._knows(rows))
+        used = places[weight[places] > 0.0]
+        events: list[Event] = []
+        changed = False
+        F, r = self.posterior.columns(rows.select(used))
+        probability = beside_others(self.posterior, F, r, self.inflation)
+        worst = int(np.argmin(probability)) if len(used) else 0
+        if len(used) and probability[worst] < BELATED:
+            k = int(self.read.index[used[worst]])
+            line = self.table.line(k)
+            self.good[k] = False
+            self.off.add(k)
+            changed = True
+            events.append(
+                Alarm(
+                    line,
+                    "outlier",
+                    f"row {line} does not agree with the rows after it",
+                    f"it is left out; measure row {line} again",
+                )
+            )
+        for j in places[weight[places] == 0.0].tolist():
+            k = int(self.read.index[j])
+            if k in self.off and k not in new:
+                F, r = self.posterior.columns(rows.select(np.array([j])))
+                if verdict(self.posterior, F[0], r[0], self.inflation).probability > TURN_BACK:
+                    self.good[k], changed = True, True
+                    self.off.discard(k)
+        if changed:
+            self._fit()
+        return events
+
+    # -- what is known, and what is next --------------------------------------------------------------------------------------
+
+    def known(self) -> Known:
+        """How well the target is known now."""
+        count = sum(self.good.values())
+        if self.posterior is None:
+            return Known(count, np.inf, np.inf)
+        moves = region_columns(self.posterior, self.region)
+        rng = np.random.default_rng(0)
+        beyond = self.beside.drawn(DRAWS, rng)
+        covariance = self.inflation.variance * self.posterior.covariance
+        off = left_out(self.posterior)
+        position = bound(moves[:, :3], covariance, beyond, off)
+        rotation = bound(moves[:, 3:], covariance, np.zeros(DRAWS), off)
+        return Known(
+            count, position, rotation, self._more(count, position, bound(moves[:, :3], 0.0 * covariance, beyond))
+        )
+
+    def _more(self, count: int, position: float, floor: float) -> int | None:
+        """Rows that the tolerance takes beside those so far, if variances go on to fall as one over their number."""
+        if self.tolerance is None or floor >= self.tolerance:
+            return None
+        share = (position**2 - floor**2) / (self.tolerance**2 - floor**2)
+        return max(0, int(np.ceil(count * (share - 1.0))))
+
+    def here(self) -> np.ndarray | None:
+        """Readings of the last row, shape (columns,)."""
+        rows = self.read.rows
+        return None if rows is None else rows.readings[-1]
+
+    def _ahead(self) -> list[Event]:
+        """What is known, and what comes next, or that it is enough."""
+        events: list[Event] = []
+        known = self.known()
+        if self.posterior is not None:
+            events.append(known)
+        some = self._pool()
+        if self.posterior is not None and self.suspect is None:
+            enough = self._enough(known, some)
+            if enough:
+                self.stopped = True
+                return [*events, Stop(*enough, known, self.checks())]
+        return [*events, self._next(some)]
+
+    def _enough(self, known: Known, some: Pool) -> tuple[Why, str] | None:
+        """Why it is enough, if it is."""
+        told = self.beside.numbers >= FEWEST_BESIDE
+        if self.tolerance is not None and told and known.position <= self.tolerance:
+            return "tolerance", (
+                f"the target is within {1e3 * known.position:.3g} mm in 95 % of the region, with 95 % confidence; asked were "
+                f"{1e3 * self.tolerance:.3g} mm"
+            )
+        reachable = self.tolerance is not None and known.more is not None
+        assert self.posterior is not None
+        if told and not reachable and gain_ahead(some, self.posterior) < HARDLY:
+            beyond = (
+                ""
+                if self.tolerance is None
+                else f"; what is beyond the model keeps it above {1e3 * self.tolerance:.3g} mm"
+            )
+            return "nothing to gain", (
+                f"ten more rows would make the target less than {100 * HARDLY:.0f} % better known: it is within "
+                f"{1e3 * known.position:.3g} mm{beyond}"
+            )
+        return None
+
+    def asked(self) -> list[Event]:
+        """The stop that the user asked for."""
+        self.stopped = True
+        return [Stop("asked", "as asked", self.known(), self.checks())]
+
+    def reject(self) -> list[Event]:
+        """Another pose in place of the last one that was proposed."""
+        if self.proposed is not None:
+            self.rejected = (*self.rejected, self.proposed)
+        self.suspect = None
+        self.repeated_at = sum(self.good.values())
+        return [self._next(self._pool())]
+
+    def _now(self) -> Posterior:
+        """What is known; until frames are, where the poses so far were measured tells what they are worth."""
+        if self.posterior is not None or self.read.rows is None:
+            return self.posterior or self.prior
+        rows, weight = self._in_use()
+        readings = rows.readings[weight > 0.0]
+        titles = offers(self.prior.setup)
+        of = [
+            next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0)
+            for j in np.flatnonzero(weight).tolist()
+        ]
+        patterns = [titles.patterns[n] for n in of]
+        measured = Candidates(
+            readings,
+            np.ones_like(readings),
+            np.array(of, dtype=int),
+            np.concatenate([np.zeros(0, dtype=int), *patterns]),
+            np.repeat(np.arange(len(of)), [len(part) for part in patterns]),
+        )
+        if not len(of):
+            return self.prior
+        F = whitened(self.prior.setup, measured)
+        return self.prior.with_rows(F, np.zeros(F.shape[:2]))
+
+    def _is_of(self, rows: Dataset, j: int, title: Mapping[str, str]) -> bool:
+        """Whether a row measured what a title says."""
+        target = [] if rows.labels.target is None else [str(rows.labels.target[j])]
+        return set(title.values()) <= {*rows.labels.refers[j].tolist(), *target}
+
+    def _pool(self) -> Pool:
+        """Configurations to choose from."""
+        now = self._now()
+        count = len(self.table.rows)
+        if (
+            self.candidates is None
+            or count >= self.drawn_at + POOL_LASTS
+            or (self.posterior is not None) != self.drawn_with
+        ):
+            self.candidates = drawn(now, self.rng)
+            self.drawn_at = count
+            self.drawn_with = self.posterior is not None
+        return pool(now, self.candidates, self.region, self.here())
+
+    def _next(self, some: Pool) -> Next:
+        """The pose to measure next."""
+        now, rows, here = self._now(), self.read.rows, self.here()
+        if self.suspect is not None and rows is not None:
+            at = int(np.flatnonzero(self.read.index == self.suspect)[0])
+            again = self._witness(at, rows)
+            if again is not None:
+                j = int(np.flatnonzero(self.read.index == again)[0])
+                off = self.table.line(self.suspect)
+                why = f"row {self.table.line(again)} again: is row {off} a bad reading, or did something move?"
+                return self._said(rows.readings[j], why, self._labels_of(rows, j))
+        repeat = self._repeat(now)
+        if repeat is not None and rows is not None:
+            why = (
+                f"row {self.table.line(int(self.read.index[repeat]))} again: it tells the noise, and that nothing moved"
+            )
+            return self._said(rows.readings[repeat], why, self._labels_of(rows, repeat))
+        gain = worth(some, now)
+        gain = np.where(self._wanted(some), gain, gain - 1.0)
+        titles = offers(now.setup).titles
+        order = best_first(some, gain, now, here, self.rejected)
+        k, unseen = next(order, None), ""
+        if k is None:  # no straight way to any: the best pose, and the user finds the way
+            k = next(best_first(some, gain, now, None, self.rejected), None)
+            unseen = "; no straight way of the joints was found: see to it yourself"
+        if k is None:
+            self.rejected = ()
+            self.candidates = None
+            return self._next(self._pool())
+        places = " and ".join(told_by(some, k, now))
+        why = f"makes the target {100 * float(max(worth(some, now)[k], 0.0)):.2g} % better known; tells most of {places}{unseen}"
+        return self._said(some.candidates.readings[k], why, titles[int(some.candidates.offer[k])])
+
+    def _wanted(self, some: Pool) -> np.ndarray:
+        """Configurations of things that fewest rows are of, until the model begins, shape (C,) bool."""
+        titles = offers((self.posterior or self.prior).setup).titles
+        every = np.ones(len(some.candidates.readings), dtype=bool)
+        rows = self.read.rows
+        if self.posterior is not None or len(titles) < 2 or rows is None:
+            return every
+        labels = [next(iter(title.values()), "") for title in titles]
+        seen = [
+            *rows.labels.refers[:, 0].tolist(),
+            *([] if rows.labels.target is None else rows.labels.target.tolist()),
+        ]
+        counts = np.array([seen.count(label) for label in labels])
+        return np.isin(some.candidates.offer, np.flatnonzero(counts == counts.min()))
+
+    def _repeat(self, now: Posterior) -> int | None:
+        """An earlier good row to measure again, if it is time for that and the arm gets there."""
+        count, rows, here = sum(self.good.values()), self.read.rows, self.here()
+        if rows is None or here is None or self.posterior is None:
+            return None
+        declared = all(sigma is not None for sigma in rows.sigma)
+        if count < self.repeated_at + (REPEAT_DECLARED if declared else REPEAT_UNDECLARED):
+            return None
+        self.repeated_at = count
+        good = [j for j in range(len(rows)) if self.good.get(int(self.read.index[j]))]
+        number = rows.repeats.configuration
+        once = [j for j in good if np.sum(number == number[j]) == 1]
+        for j in sorted(once[: max(1, len(once) // 2)], key=lambda j: float(np.abs(rows.readings[j] - here).max())):
+            if reaches(now, here, rows.readings[j], 0):
+                return j
+        return None
+
+    def _labels_of(self, rows: Dataset, j: int) -> Mapping[str, str]:
+        """What a row measured, by column, where there are several things."""
+        titles = offers((self.posterior or self.prior).setup).titles
+        return next((title for title in titles if title and self._is_of(rows, j, title)), {})
+
+    def _said(self, readings: np.ndarray, why: str, labels: Mapping[str, str]) -> Next:
+        """A pose in the campaign's columns and units."""
+        self.proposed = readings
+        settings = self.campaign.measurements
+        named = {column_of(name, settings, self.robot.readings): word for name, word in labels.items()}
+        return Next(self._in_columns(readings), why, named)
+
+    def _in_columns(self, readings: np.ndarray) -> dict[str, float]:
+        """Readings, shape (columns,), in the campaign's columns and units."""
+        settings = self.campaign.measurements
+        cells = counting(settings, self.robot.readings, self.robot.kinds).cells(readings[None])[0]
+        names = [settings.columns.get(name, name) for name in self.robot.readings]
+        return {name: round(float(cell), 6) for name, cell in zip(names, cells, strict=True)}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the joints' columns."""
+        settings = self.campaign.measurements
+        names = [settings.columns.get(name, name) for name in self.robot.readings]
+        usual = [settings.units.length if kind == "prismatic" else settings.units.angle for kind in self.robot.kinds]
+        return {name: settings.units.columns.get(name, unit) for name, unit in zip(names, usual, strict=True)}
+
+    def checks(self) -> tuple[Mapping[str, float], ...]:
+        """Poses that check the calibration: far from each other, and from all that was measured."""
+        rows = self.read.rows
+        places = self.region
+        taken = list(rows.readings) if rows is not None else []
+        chosen: list[Mapping[str, float]] = []
+        for _ in range(min(CHECKS, len(places))):
+            far = np.full(len(places), np.inf)
+            for pose in taken:
+                far = np.minimum(far, np.linalg.norm(places - pose, axis=1))
+            best = int(np.argmax(far))
+            taken.append(places[best])
+            chosen.append(self._in_columns(places[best]))
+        return tuple(chosen)
+
+
+FEW_BAD = 3
+"""Rows of which not one can be used: the table is not as the campaign says."""
+
+FEW_STRANGE = 8
+"""Rows from which it is told that they are not of this robot: a bad one among three looks like that."""
+
+
+def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Session:
+    """The session of a campaign before any row.
+
+    Args:
+        campaign: What is to be measured.
+        robot: The nominal chain.
+        tolerance: See :class:`Session`.
+
+    Raises:
+        AridcalError: rows of its kind cannot be planned, or something needs mending.
+    """
+    if len(campaign.blocks) > 1 or len(campaign.measurements.files) != 1:
+        raise CampaignError(
+            f"{campaign.path}: measurements: one table is followed while it grows; write a campaign with one block and one file"
+        )
+    if not campaign.measurements.traits.tracked:
+        raise CampaignError(
+            f"{campaign.path}: measurements.kind: led are `kind: pose` and `kind: position`; plan others with `aridcal design`, "
+            "measure, and run `aridcal identify` now and then"
+        )
+    rng = np.random.default_rng(0)
+    setup = from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
+    candidates = draw_candidates(setup, POOL, 1, rng)
+    setup = with_stated_effects(setup, candidates)
+    if not campaign.effects:
+        setup = with_usual_effects(setup, candidates)
+    region = region_readings(setup, None, rng)[:PLACES]
+    setup = replace(setup, patterns=setup.patterns.with_origin(order=np.full(len(setup.patterns), np.inf)))
+    dialect = campaign.measurements.table.dialect
+    table = GrowingTable(dialect.begins, dialect.comment)
+    nothing = RowsSoFar(None, np.zeros(0, dtype=int), {})
+    return Session(campaign, robot, tolerance, table, nothing, {}, before_rows(setup), region, rng)

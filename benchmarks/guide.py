@@ -1,0 +1,389 @@
+"""How many rows being led saves, whether the stop is honest, and which faults are told.
+
+    python benchmarks/guide.py              # all of it, a few draws: minutes
+    python benchmarks/guide.py rows 50      # rows until twice the floor is kept, over random ones and over one plan
+    python benchmarks/guide.py faults 50    # faults put in: told within two rows; alarms without a fault
+    python benchmarks/guide.py time         # seconds a row, up to 1,000 rows of a UR10
+
+A draw is a machine: each constant off by 1 mm or 1 mrad, a harmonic of 0.2 mrad in each gear, frames anywhere. The floor is
+the error of the target, at the 95th percentile of the region, that is left after 200 random rows. What is kept is judged by
+the truth: rows until the model of the moment errs by less than the tolerance in 95 % of the region, and goes on to; of plans,
+the smallest one whose model does. Random rows are of poses that can be measured, and fitted by the same model. At the stop
+the calibration that is delivered is asked, too.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.inverse.reachable import draw_readings, inner_limits
+from aridcal.engine.model.predictions import rows_of_data
+from aridcal.files.campaign import Campaign, load_campaign, nominal_robot
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.job_inputs import read_job
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.guide.events import Alarm, Next, Stop
+from aridcal.jobs.guide.posterior import Posterior
+from aridcal.jobs.guide.session import Session, session
+from aridcal.jobs.plan.configurations import draw_candidates
+from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
+from aridcal.jobs.simulate.live import LiveArm, live_arm
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.runs.guided_campaign import to_calibrate
+from aridcal.system.progress import one_thread
+
+TOP = Path(__file__).resolve().parents[1]
+FLOOR_ROWS, MOST_ROWS, PLACES = 200, 120, 100
+PLANS = (15, 20, 30, 40, 55, 75, 100)
+CONSTANT = 1e-3
+
+SCARA = """<robot name="scara"><link name="base"/><link name="a"/><link name="b"/><link name="c"/>
+<link name="d"/><link name="tool"/>
+<joint name="one" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/>
+<limit lower="-2.2" upper="2.2" effort="1" velocity="1"/></joint>
+<joint name="two" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0.325 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-2.4" upper="2.4" effort="1" velocity="1"/></joint>
+<joint name="lift" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="0.275 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-0.2" upper="0.0" effort="1" velocity="1"/></joint>
+<joint name="turn" type="revolute"><parent link="c"/><child link="d"/><axis xyz="0 0 1"/>
+<limit lower="-3.1" upper="3.1" effort="1" velocity="1"/></joint>
+<joint name="end" type="fixed"><parent link="d"/><child link="tool"/><origin xyz="0 0 -0.05"/></joint></robot>"""
+
+GANTRY = """<robot name="gantry"><link name="base"/><link name="a"/><link name="b"/><link name="c"/>
+<link name="d"/><link name="tool"/>
+<joint name="along" type="prismatic"><parent link="base"/><child link="a"/><origin xyz="0 0 1.5"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="3" effort="1" velocity="1"/></joint>
+<joint name="across" type="prismatic"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+<limit lower="0" upper="2" effort="1" velocity="1"/></joint>
+<joint name="up" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="0" effort="1" velocity="1"/></joint>
+<joint name="turn" type="revolute"><parent link="c"/><child link="d"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+<joint name="end" type="fixed"><parent link="d"/><child link="tool"/><origin xyz="0.1 0 -0.1"/></joint></robot>"""
+
+SEVEN = [(0, 0, 0.34, 0), (0, 0, 0, 1), (0, 0, 0.4, 0), (0, 0, 0, -1), (0, 0, 0.4, 0), (0, 0, 0, 1), (0, 0, 0.126, 0)]
+"""Of a 7R arm: where each joint is beyond the one before, and whether it turns about z (0), y (1) or -y (-1)."""
+
+
+def seven() -> str:
+    """A redundant arm of seven joints that turn."""
+    parts = ['<robot name="seven"><link name="base"/>']
+    before = "base"
+    for k, (x, y, z, about) in enumerate(SEVEN, start=1):
+        axis = "0 0 1" if about == 0 else f"0 {about} 0"
+        parts.append(
+            f'<link name="l{k}"/><joint name="j{k}" type="revolute"><parent link="{before}"/><child link="l{k}"/>'
+            f'<origin xyz="{x} {y} {z}"/><axis xyz="{axis}"/><limit lower="-2.5" upper="2.5" effort="1" velocity="1"/></joint>'
+        )
+        before = f"l{k}"
+    parts.append(
+        f'<link name="tool"/><joint name="end" type="fixed"><parent link="{before}"/><child link="tool"/>'
+        '<origin xyz="0 0 0.1"/></joint>'
+    )
+    return "".join(parts) + "</robot>"
+
+
+ARMS: dict[str, Callable[[], tuple[str, str]]] = {
+    "UR10": lambda: ((TOP / "urdf" / "ur10.urdf").read_text(), "tool0"),
+    "7R": lambda: (seven(), "tool"),
+    "SCARA": lambda: (SCARA, "tool"),
+    "gantry": lambda: (GANTRY, "tool"),
+}
+NOISE = {"pose": {"position": 5e-5, "rotation": 1e-4}, "position": {"position": 5e-5}}
+
+
+@dataclass
+class Cell:
+    """A simulated cell.
+
+    Attributes:
+        campaign: What the user wrote, its table not there yet.
+        arm: The machine.
+        places: Readings of the region, shape (R, columns).
+    """
+
+    campaign: Campaign
+    arm: LiveArm
+    places: np.ndarray
+
+    def line(self, readings: np.ndarray) -> tuple[bytes, bytes]:
+        """Measure one pose: the header, and the line."""
+        head, row, _ = self.arm.measured(readings).to_csv(index=False).encode().split(b"\n")
+        return head, row
+
+    def error(self, posterior: Posterior) -> float:
+        """95th percentile over the region of the target's error, [m]."""
+        setup = posterior.setup
+        theta = setup.theta + posterior.step[posterior.things :]
+        pattern = setup.patterns.select(np.zeros(len(self.places), dtype=int))
+        _, p = setup.model.poses(theta, rows_of_data(setup.model, pattern, self.places))
+        return float(np.quantile(np.linalg.norm(p - self.truth(), axis=1), 0.95))
+
+    def truth(self) -> np.ndarray:
+        """Where the target really is at the places, shape (R, 3), [m]."""
+        return self.arm.model.poses(self.arm.simulation.theta, self.arm.model.rows(self.places))[1]
+
+
+def cell(folder: Path, arm: str, kind: str, seed: int) -> Cell:
+    """Draw a machine."""
+    rng = np.random.default_rng([seed, 7])
+    text, tip = ARMS[arm]()
+    (folder / "arm.urdf").write_text(text)
+    keys: dict[str, Any] = {
+        "format": 1,
+        "robot": {"urdf": "arm.urdf", "tip": tip},
+        "measurements": {"file": "measurements.csv", "kind": kind, "noise": NOISE[kind]},
+        "frames": {"tip_target": {"xyz": [0.05, 0.03, 0.15]}},
+    }
+    (folder / "campaign.yaml").write_text(yaml.safe_dump(keys))
+    campaign = load_campaign(folder / "campaign.yaml")
+    robot = nominal_robot(campaign)
+    effects: list[dict[str, Any]] = []
+    for joint in robot.joints:
+        if joint.kind != "prismatic":
+            std = {"std": 2e-4}
+            effects.append({"kind": "joint_harmonic", "where": joint.name, "order": 1, "coefficients": std})
+    keys["truth"] = {
+        "parameters": {c.name: {"std": CONSTANT} for c in constants(robot, "full")},
+        "frames": {
+            "world_base": {"xyz": rng.uniform(-2, 2, 3).tolist(), "rpy": rng.uniform(-1, 1, 3).tolist()},
+            "tip_target": {"xyz": rng.uniform(0.02, 0.15, 3).tolist(), "rpy": rng.uniform(-1, 1, 3).tolist()},
+        },
+        "effects": effects,
+        "noise": NOISE[kind],
+        "n": 100,
+        "seed": seed,
+    }
+    (folder / "scenario.yaml").write_text(json.dumps(keys))
+    made = live_arm(load_settings(folder / "scenario.yaml", Scenario))
+    return Cell(campaign, made, session(campaign, robot, None).region[:PLACES])
+
+
+def fed(now: Session, one: Cell, readings: np.ndarray) -> list[Any]:
+    """Measure a pose, and what is said to it."""
+    head, line = one.line(readings)
+    if not now.table.head:
+        now.table.add(head)
+    return now.taken(now.table.add(line))
+
+
+def of(event: Next) -> np.ndarray:
+    """Readings of a pose that is proposed."""
+    return np.array(list(event.joints.values()))
+
+
+def fast(now: Session, one: Cell, poses: np.ndarray) -> Iterator[float]:
+    """The true error after each of some poses, nothing proposed."""
+    now._ahead = lambda: []  # type: ignore[method-assign]
+    for readings in poses:
+        fed(now, one, readings)
+        yield np.inf if now.posterior is None else one.error(now.posterior)
+
+
+def until(errors: list[float], tolerance: float) -> int:
+    """Rows from which on the error stays within a tolerance."""
+    bad = [n for n, error in enumerate(errors, start=1) if error > tolerance]
+    return (bad[-1] if bad else 0) + 1
+
+
+def rows(draws: int) -> None:
+    """Rows until twice the floor is kept: guided, random, planned beforehand; and the truth at the stop."""
+    print("arm     kind      floor mm  guided  random  plan   /random  /plan   stopped at  truth within", flush=True)
+    for arm in ARMS:
+        for kind in NOISE:
+            figures, kept = [], []
+            for seed in range(draws):
+                with tempfile.TemporaryDirectory() as name:
+                    figures.append(_one(Path(name), arm, kind, seed))
+                kept.append(figures[-1][-1])
+            floor, guided, random, plan, stop, _ = np.median(np.array(figures), axis=0)
+            ratios = np.array(figures)
+            print(
+                f"{arm:7s} {kind:9s} {1e3 * floor:8.3f} {guided:7.0f} {random:7.0f} {plan:5.0f} "
+                f"{np.median(ratios[:, 1] / ratios[:, 2]):8.2f} {np.median(ratios[:, 1] / ratios[:, 3]):6.2f} {stop:10.0f} "
+                f"{int(np.sum(kept)):6d} of {draws}",
+                flush=True,
+            )
+
+
+def _one(folder: Path, arm: str, kind: str, seed: int) -> tuple[float, ...]:
+    """One draw: floor, rows of each way, rows at the stop, and whether the truth is within."""
+    one = cell(folder, arm, kind, seed)
+    robot, rng = one.arm.simulation.robot, np.random.default_rng([seed, 8])
+    pool = draw_candidates(session(one.campaign, robot, None).prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings
+
+    def anew() -> tuple[Session, Cell]:
+        one.arm.poses.clear()
+        return session(one.campaign, robot, None), one
+
+    random = list(fast(*anew(), pool))
+    tolerance = 2.0 * random[-1]
+    planned = PLANS[-1]
+    for count in PLANS:
+        if list(fast(*anew(), design(beforehand(one.campaign, robot), PlanRequest(count)).readings))[-1] <= tolerance:
+            planned = count
+            break
+    now = session(one.campaign, robot, tolerance)
+    one.arm.poses.clear()
+    events, stop, within = now.taken([]), 0, False
+    guided: list[float] = []
+    while len(guided) < MOST_ROWS and isinstance(events[-1], Next):
+        events = fed(now, one, of(events[-1]))
+        guided.append(np.inf if now.posterior is None else one.error(now.posterior))
+        if isinstance(events[-1], Stop):
+            stop, within = len(guided), _delivered(folder, one, now) <= tolerance
+    return (
+        random[-1],
+        until(guided, tolerance),
+        until(random, tolerance),
+        planned,
+        stop,
+        float(within),
+    )
+
+
+def _delivered(folder: Path, one: Cell, now: Session) -> float:
+    """95th percentile over the region of the error of the calibration that is delivered, [m]."""
+    (folder / "measurements.csv").write_bytes(now.table.text(list(range(len(now.table.rows)))))
+    job = read_job(to_calibrate(now))
+    job = replace(job, rows=replace(job.rows, test=np.zeros(len(job.rows), dtype=bool)))
+    fit = identify(job).stages[-1].fit
+    still = {f"{name}_direction": np.zeros(len(one.places)) for name in one.arm.simulation.robot.readings}
+    _, p = fit.model.poses(fit.theta, fit.model.rows(one.places, still))
+    return float(np.quantile(np.linalg.norm(p - one.truth(), axis=1), 0.95))
+
+
+FAULTS = ("target", "tripod", "stale", "unit", "bad")
+
+
+def faults(draws: int) -> None:
+    """Faults put in at a row between 15 and 30: told within two rows; alarms before it."""
+    print("arm     kind      fault    told  as       rows without a fault  alarms", flush=True)
+    total, false = 0, 0
+    for arm in ARMS:
+        for kind in NOISE:
+            for fault in FAULTS:
+                told, named, clean, alarms = 0, 0, 0, 0
+                for seed in range(draws):
+                    with tempfile.TemporaryDirectory() as name:
+                        seen, right, before, wrong = _fault(Path(name), arm, kind, fault, seed)
+                    told, named, clean, alarms = told + seen, named + right, clean + before, alarms + wrong
+                total, false = total + clean, false + alarms
+                print(
+                    f"{arm:7s} {kind:9s} {fault:8s} {told:3d}/{draws} {named:3d}/{draws} {clean:10d} {alarms:18d}",
+                    flush=True,
+                )
+    print(f"{false} alarms in {total} rows without a fault")
+
+
+NAMED = {"target": {"slip"}, "tripod": {"slip"}, "stale": {"stale"}, "unit": {"unit"}, "bad": {"outlier"}}
+
+
+def _fault(folder: Path, arm: str, kind: str, fault: str, seed: int) -> tuple[int, int, int, int]:
+    """One draw: told, told by its name, rows before it, alarms among these."""
+    one = cell(folder, arm, kind, seed)
+    rng = np.random.default_rng([seed, 9])
+    at = int(rng.integers(15, 30))
+    now = session(one.campaign, one.arm.simulation.robot, None)
+    events = now.taken([])
+    alarms: list[tuple[int, Alarm]] = []
+    shift = rng.normal(size=3)
+    shift *= rng.uniform(5e-4, 3e-3) / np.linalg.norm(shift)
+    last = b""
+    for n in range(1, at + 3):
+        if not isinstance(events[-1], Next):
+            now.stopped = False
+            events = [now._next(now._pool())]
+        if n == at and fault in ("target", "tripod"):
+            model = one.arm.model
+            frames = model.tip_target if fault == "target" else model.world_base
+            ((label, frame),) = frames
+            moved = frame.copy()
+            moved.translation = frame.translation + shift
+            ends = ((label, moved),)
+            one.arm.model = replace(model, tip_target=ends) if fault == "target" else replace(model, world_base=ends)
+        following = events[-1]
+        assert isinstance(following, Next)
+        head, line = one.line(of(following))
+        if n == at or (n > at and fault == "unit"):
+            line = _spoilt(line, last, fault, one, rng)
+        last = line
+        if not now.table.head:
+            now.table.add(head)
+        events = now.taken(now.table.add(line))
+        alarms += [(n, event) for event in events if isinstance(event, Alarm)]
+    late = [alarm for n, alarm in alarms if at <= n <= at + 2]
+    return (
+        int(bool(late)),
+        int(any(alarm.what in NAMED[fault] for alarm in late)),
+        at - 1,
+        sum(n < at for n, _ in alarms),
+    )
+
+
+def _spoilt(line: bytes, last: bytes, fault: str, one: Cell, rng: np.random.Generator) -> bytes:
+    """A line with a fault."""
+    joints = len(one.arm.simulation.robot.readings)
+    cells, before = line.decode().split(","), last.decode().split(",")
+    if fault == "stale":
+        cells[joints:] = before[joints:]
+    elif fault == "unit":
+        cells[joints : joints + 3] = [repr(1e3 * float(c)) for c in cells[joints : joints + 3]]
+    elif fault == "bad":
+        off = rng.normal(size=3)
+        off *= rng.uniform(1e-3, 1e-2) / np.linalg.norm(off)
+        cells[joints : joints + 3] = [
+            repr(float(c) + float(d)) for c, d in zip(cells[joints : joints + 3], off, strict=True)
+        ]
+    return ",".join(cells).encode()
+
+
+def seconds() -> None:
+    """Seconds a row of a UR10 with a thousand poses."""
+    with tempfile.TemporaryDirectory() as name:
+        one = cell(Path(name), "UR10", "pose", 0)
+        robot = one.arm.simulation.robot
+        now = session(one.campaign, robot, None)
+        pool = draw_readings(robot, 1000, np.random.default_rng(0), inner_limits)
+        begun = time.perf_counter()
+        head, line = one.line(pool[0])
+        now.table.add(head)
+        for readings in pool[:-10]:
+            now.table.add(one.line(readings)[1])
+        now.taken(list(range(len(now.table.rows))))
+        print(f"{len(now.table.rows)} rows at once: {time.perf_counter() - begun:.1f} s", flush=True)
+        for readings in pool[-10:]:
+            line = one.line(readings)[1]
+            begun = time.perf_counter()
+            now.stopped = False
+            now.taken(now.table.add(line))
+            print(f"row {len(now.table.rows)}: {time.perf_counter() - begun:.2f} s", flush=True)
+
+
+def main() -> None:
+    """Run what was asked for."""
+    what = sys.argv[1] if len(sys.argv) > 1 else "all"
+    draws = int(sys.argv[2]) if len(sys.argv) > 2 else 2
+    with one_thread():
+        if what in ("rows", "all"):
+            rows(draws)
+        if what in ("faults", "all"):
+            faults(draws)
+        if what in ("time", "all"):
+            seconds()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,314 @@
+"""Being led while measuring: rows judged, slips told, the next pose, the end; what happens to the table in between."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import aridcal
+from aridcal.files.campaign import load_campaign, nominal_robot
+from aridcal.files.yaml_file import load_settings
+from aridcal.guide import main
+from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop
+from aridcal.jobs.guide.growing_table import GrowingTable
+from aridcal.jobs.guide.judgement import beside_others, exceeded
+from aridcal.jobs.guide.session import Session, session
+from aridcal.jobs.simulate.live import LiveArm, live_arm
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.runs.guide_server import Board, GuideServer
+from aridcal.runs.guided_campaign import Incoming
+
+SCARA = """<robot name="scara"><link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="tool"/>
+<joint name="one" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 0.4"/><axis xyz="0 0 1"/>
+<limit lower="-2.2" upper="2.2" effort="1" velocity="1"/></joint>
+<joint name="two" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0.325 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-2.4" upper="2.4" effort="1" velocity="1"/></joint>
+<joint name="lift" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="0.275 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-0.2" upper="0.0" effort="1" velocity="1"/></joint>
+<joint name="end" type="fixed"><parent link="c"/><child link="tool"/><origin xyz="0 0 -0.05"/></joint></robot>"""
+
+CAMPAIGN = """format: 1
+robot: {urdf: scara.urdf, tip: tool}
+measurements: {file: measurements.csv, kind: pose, noise: {position: 5.0e-5, rotation: 1.0e-4}}
+"""
+STEP = 0.03  # [m] that the arm moves between two looks at its way
+KEEP_OUT = "design: {keep_out: [{min: [0.4, 0.2, 0.0], max: [0.7, 0.5, 1.0]}]}\n"
+TRUTH = """truth:
+  n: 50
+  seed: 3
+  noise: {position: 5.0e-5, rotation: 1.0e-4}
+  frames: {world_base: {xyz: [1.0, 2.0, 0.3], rpy: [0.1, 0.2, 1.0]}, tip_target: {xyz: [0.05, 0.02, -0.03], rpy: [0.3, 0.1, 0.2]}}
+  parameters: {two.x: {std: 1.0e-3}, two.roll: {std: 1.0e-3}, lift.pitch: {std: 1.0e-3}}
+"""
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> LiveArm:
+    """A SCARA with a tracker, and its campaign without a table."""
+    (tmp_path / "scara.urdf").write_text(SCARA)
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN + KEEP_OUT)
+    (tmp_path / "scenario.yaml").write_text(CAMPAIGN + TRUTH)
+    return live_arm(load_settings(tmp_path / "scenario.yaml", Scenario))
+
+
+def begun(folder: Path, tolerance: float | None = None) -> Session:
+    campaign = load_campaign(folder / "campaign.yaml")
+    return session(campaign, nominal_robot(campaign), tolerance)
+
+
+def measured(arm: LiveArm, pose: Next) -> list[bytes]:
+    """Header and row of a pose."""
+    return arm.measured(np.array([*pose.joints.values()])).to_csv(index=False).encode().splitlines()
+
+
+def led(now: Session, arm: LiveArm, n: int, spoil: Callable[[int, list[bytes]], bytes] | None = None) -> list[Event]:
+    """What is said while n poses are measured as proposed."""
+    said = now.taken([])
+    for row in range(1, n + 1):
+        following = said[-1]
+        if not isinstance(following, Next):
+            break
+        lines = measured(arm, following)
+        line = lines[1] if spoil is None else spoil(row, lines)
+        if not now.table.head:
+            now.table.add(lines[0])
+        said += now.taken(now.table.add(line))
+    return said
+
+
+def alarms(said: list[Event]) -> list[Alarm]:
+    return [event for event in said if isinstance(event, Alarm)]
+
+
+def test_a_campaign_is_led_to_its_tolerance_and_the_truth_is_within(tmp_path: Path, cell: LiveArm) -> None:
+    """At the stop the model's error at poses never measured, against the machine's own truth, is within in 95 % of them."""
+    now = begun(tmp_path, 2e-4)
+    said = led(now, cell, 60)
+    stop = said[-1]
+    assert isinstance(stop, Stop)
+    assert (stop.why, alarms(said)) == ("tolerance", [])
+    rows = [event.row for event in said if isinstance(event, RowRead)]
+    assert rows == list(range(2, 2 + len(rows)))  # lines of the table, the header is line 1
+    assert len(stop.check) == 5
+    assert now.posterior is not None
+    places = now.region
+    setup = now.posterior.setup
+    pattern = setup.patterns.select(np.zeros(len(places), dtype=int))
+    p = setup.model.poses(setup.theta, setup.model.rows(places, pattern.conditions | {}))[1]
+    true = cell.model.poses(cell.simulation.theta, cell.model.rows(places))[1]
+    assert np.quantile(np.linalg.norm(p - true, axis=1), 0.95) < 2e-4
+
+
+def test_poses_keep_out_of_boxes_and_so_do_the_ways_to_them(tmp_path: Path, cell: LiveArm) -> None:
+    """Points of the second arm and of the plunger, along every straight way: none is in the box, but for the step of a look."""
+    now = begun(tmp_path)
+    proposed = [event for event in led(now, cell, 12) if isinstance(event, Next)]
+    poses = np.array([[*event.joints.values()] for event in proposed])
+    limits = now.robot.limits
+    assert np.all((poses > limits[:, 0]) & (poses < limits[:, 1]))
+    straight = np.array(["no straight way" not in event.why for event in proposed])
+    assert straight.sum() > 10
+    for here, there in np.array([*pairwise(poses)])[straight[1:]]:
+        one, two, lift = (here + np.linspace(0.0, 1.0, 300)[:, None] * (there - here)).T
+        elbow = 0.325 * np.array([np.cos(one), np.sin(one)])
+        end = elbow + 0.275 * np.array([np.cos(one + two), np.sin(one + two)])
+        for share in np.linspace(0.0, 1.0, 20):
+            x, y = elbow + share * (end - elbow)
+            assert not np.any(
+                (x > 0.4 + STEP) & (x < 0.7) & (y > 0.2 + STEP) & (y < 0.5)
+            )  # the box is higher than the arm
+        assert np.all(lift < 0.0)
+
+
+@pytest.mark.parametrize("frame", ["tip_target", "world_base"])
+def test_a_slip_is_told_within_two_rows_and_both_parts_are_used(tmp_path: Path, cell: LiveArm, frame: str) -> None:
+    now = begun(tmp_path)
+    first = 14
+
+    def slip(row: int, lines: list[bytes]) -> bytes:
+        if row == first - 1:  # after this row was measured
+            ((label, at),) = getattr(cell.model, frame)
+            moved = at.copy()
+            moved.translation = at.translation + np.array([1.5e-3, -1e-3, 1e-3])
+            cell.model = replace(cell.model, **{frame: ((label, moved),)})
+        return lines[1]
+
+    said = led(now, cell, first + 2, slip)
+    (slipped,) = [alarm for alarm in alarms(said) if alarm.what == "slip"]
+    assert slipped.row == first + 1  # the line of row `first`
+    assert now.slips[0][1] == (frame,)
+    assert all(now.good.values())
+    assert [alarm.row for alarm in alarms(said) if alarm.what != "slip"] in (
+        [],
+        [first + 1],
+    )  # the first row alone may be bad
+
+
+def test_bad_rows_are_told_apart_by_what_is_wrong_with_them(tmp_path: Path, cell: LiveArm) -> None:
+    """A jump of 3 mm, a reading of the row before, millimetres, a word: each by its name, and none is used."""
+    now = begun(tmp_path)
+    before: list[bytes] = []
+
+    def spoil(row: int, lines: list[bytes]) -> bytes:
+        cells, last = lines[1].split(b","), before[-1].split(b",") if before else []
+        before.append(lines[1])
+        if row == 10:
+            cells[3] = b"%.9f" % (float(cells[3]) + 3e-3)
+        elif row == 12:
+            cells[3:] = last[3:]
+        elif row == 14:
+            cells[3:6] = [b"%.6f" % (1e3 * float(c)) for c in cells[3:6]]
+        elif row == 16:
+            cells[4] = b"nothing"
+        return b",".join(cells)
+
+    said = led(now, cell, 18, spoil)
+    assert [(alarm.row, alarm.what) for alarm in alarms(said)] == [
+        (11, "outlier"),
+        (13, "stale"),
+        (15, "unit"),
+        (17, "table"),
+    ]
+    assert [event.row for event in said if isinstance(event, RowRead) and not event.ok] == [11, 13, 15, 17]
+    assert "again" in alarms(said)[0].do
+
+
+@pytest.mark.usefixtures("cell")
+def test_a_rejected_pose_is_replaced_by_one_elsewhere(tmp_path: Path) -> None:
+    now = begun(tmp_path)
+    first = now.taken([])[-1]
+    others = [now.reject()[-1] for _ in range(3)]
+    poses = np.array([[*event.joints.values()] for event in (first, *others) if isinstance(event, Next)])
+    apart = np.abs(poses[:, None] - poses[None]).max(axis=2)[np.triu_indices(4, 1)]
+    assert len(poses) == 4
+    assert apart.min() > 0.2
+
+
+def test_a_row_that_is_left_out_is_as_far_off_as_a_fit_without_it_says(tmp_path: Path, cell: LiveArm) -> None:
+    """The closed form of all rows at once, against the posterior with one row really taken away."""
+    now = begun(tmp_path)
+    led(now, cell, 10)
+    assert now.posterior is not None
+    assert now.read.rows is not None
+    F, r = now.posterior.columns(now.read.rows)
+    r[[0, 5]] += 5.0  # sigmas: clearly off
+    together = beside_others(now.posterior, F, r, now.inflation)
+    for k in (0, 5):
+        without = now.posterior.with_rows(F[k : k + 1], r[k : k + 1], -1.0)
+        error = r[k] - F[k] @ without.step
+        square = error @ np.linalg.solve(np.eye(6) + F[k] @ without.covariance @ F[k].T, error) / now.inflation.variance
+        assert together[k] == pytest.approx(float(exceeded(square, 6, 30.0 + now.inflation.numbers)), rel=1e-4)
+
+
+def test_a_table_may_be_swapped_cut_off_and_begun_anew() -> None:
+    """Half a line waits for its end; what was taken stays taken, and comes once."""
+    table = GrowingTable(2)
+    assert table.take(b"a,b") == []
+    assert table.take(b"a,b\n1,2\n3,") == [0]
+    assert table.take(b"a,b\r\n1,2\r\n3,4\r\n") == [1]  # written anew by another system
+    assert table.take(b"a,b\n") == []  # rotated
+    assert table.take(b"a,b\n5,6\n") == [2]
+    assert table.take(b"a,b\n5,6\n5,6\n") == [3]
+    assert table.take(b"a,b\n1,2\n3,4\n5,6\n5,6\n7,8\n") == [4]
+    assert table.rows == [b"1,2", b"3,4", b"5,6", b"5,6", b"7,8"]
+    assert [table.line(k) for k in (0, 4)] == [2, 6]
+    with pytest.raises(aridcal.AridcalError, match="other column names"):
+        table.take(b"b,a\n")
+
+
+def test_python_is_led_pose_by_pose_and_goes_on_where_the_table_ends(tmp_path: Path, cell: LiveArm) -> None:
+    guided = aridcal.guide(tmp_path / "campaign.yaml", tolerance="3mm")
+    for number, pose in enumerate(guided):
+        (row,) = cell.measured(np.array([*pose.joints.values()])).to_dict("records")
+        assert pose.record(row) == []
+        if number == 4:
+            break
+    again = aridcal.guide(tmp_path / "campaign.yaml", tolerance="3mm")
+    assert [event.row for event in again.rows] == [2, 3, 4, 5, 6]
+    with pytest.raises(aridcal.AridcalError, match="record"):
+        for _ in again:
+            pass
+    again.end()
+    assert again.stop is not None
+    assert again.stop.why == "asked"
+    with pytest.raises(aridcal.AridcalError, match=r"tolerance: .*0\.2mm"):
+        aridcal.guide(tmp_path / "campaign.yaml", tolerance="fine")
+
+
+def test_a_driver_follows_the_events_and_gets_a_report(tmp_path: Path, cell: LiveArm) -> None:
+    """The command as a process of its own: a next or a stop follows every row, and it ends with status 0 and a report."""
+    command = [sys.executable, "-m", "aridcal", "guide", str(tmp_path / "campaign.yaml"), "--json", "--no-page"]
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    events, rows = [], 0
+    for line in process.stdout:
+        event = json.loads(line)
+        events.append(event["event"])
+        if event["event"] == "next" and rows < 9:
+            lines = cell.measured(np.array([*event["joints"].values()])).to_csv(index=False).splitlines()
+            process.stdin.write("".join(f"{text}\n" for text in lines[0 if rows == 0 else 1 :]))
+            rows += 1
+        elif event["event"] == "next":
+            process.stdin.write("reject\n" if events[-2] != "next" else "stop\n")
+        process.stdin.flush()
+    assert process.wait(60) == 0
+    assert events[0] == "next"
+    assert events[-3:] == ["next", "next", "stop"]
+    assert events.count("row") == 9
+    assert all("next" in events[k : k + 3] for k, name in enumerate(events) if name == "row")
+    assert (tmp_path / "results" / "report.html").is_file()
+    assert len((tmp_path / "measurements.csv").read_text().splitlines()) == 10
+
+
+def test_a_table_of_another_kind_of_campaign_is_refused_in_words(
+    tmp_path: Path, cell: LiveArm, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "measurements.csv").write_text("one,two\n" + "0.1,0.2\n" * 4)
+    assert main([str(tmp_path / "campaign.yaml"), "--no-page"]) == 2
+    assert "no column" in capsys.readouterr().err
+
+
+def test_the_page_serves_this_computer_only_and_takes_two_words(tmp_path: Path) -> None:
+    incoming = Incoming()
+    board = Board("cell", 2e-4, "measurements.csv")
+    board.note([RowRead(2, True), Known(3, 1e-3, 2e-3), Next({"one": 0.5}, "why")])
+    server = GuideServer(board, incoming)
+
+    def ask(path: str, body: bytes | None = None, **headers: str) -> tuple[int, str]:
+        request = urllib.request.Request(server.url + path, body, headers)
+        try:
+            with urllib.request.urlopen(request, timeout=10) as answer:
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, ""
+
+    status, page = ask("")
+    assert status == 200
+    assert server.key in page
+    assert "http://" not in page.replace("http://www.w3.org/2000/svg", "")
+    state = json.loads(ask("state")[1])
+    assert (state["next"]["joints"], state["tolerance_mm"]) == ({"one": 0.5}, 0.2)
+    assert ask(f"state?have={state['number']}")[0] == 204
+    assert ask("", Host="evil.example")[0] == 403
+    assert ask("say", b"stop")[0] == 403
+    assert ask("say", b"rm", **{"X-Key": server.key})[0] == 400
+    assert ask("say", b"reject", **{"X-Key": server.key})[0] == 204
+    deadline = time.monotonic() + 10.0
+    words: list[str | None] = []
+    while not words and time.monotonic() < deadline:
+        words = incoming.waiting()
+    assert words == ["reject"]
