@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import robots
+from kinds_of_effects import every_effect
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.engine.corrections.effect_kind import ObservedRows, bumps
-from aridcal.engine.corrections.loads import Payload, Surroundings, bearing_components, covariate_table
+from aridcal.engine.corrections.effect_kind import bumps
+from aridcal.engine.corrections.loads import Payload, Surroundings, bearing_components
 from aridcal.engine.corrections.sights import Sights
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.inverse.row_kinematics import OneRowModel
@@ -24,16 +24,6 @@ ROWS = 20
 def measured(robot: Robot, rng: np.random.Generator) -> dict[str, np.ndarray]:
     columns = {f"{name}_direction": rng.choice([-1.0, 0.0, 1.0], ROWS) for name in robot.names}
     return columns | {name: rng.uniform(0.0, 20.0, ROWS) for name in ("temperature", "time", "payload")}
-
-
-def every_effect(
-    robot: Robot, q: np.ndarray, columns: dict[str, np.ndarray], around: Surroundings
-) -> tuple[Coefficient, ...]:
-    """All coefficients of the table of kinds."""
-    wanted = {f"{name}.{load}" for name in robot.names for load in ("gravity_torque", "payload_torque")}
-    table = covariate_table(robot, q, columns, around, np.zeros(len(q), dtype=int), wanted)
-    effects = candidates(ObservedRows(robot, table, tuple(columns)), EFFECT_KINDS)
-    return tuple(dict.fromkeys(c for e in effects for c in e.coefficients))
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -13,8 +13,8 @@ import pytest
 import robots
 import tree_robot
 from compiled import BAD_INPUT, LIMIT, NOT_REACHED, OK, OUT_OF_RANGE, Export
+from kinds_of_effects import every_effect
 from scipy.spatial.transform import Rotation
-from test_one_row import every_effect
 
 from aridcal import export
 from aridcal.engine.corrections.basis import FORMS, Basis

@@ -113,7 +113,7 @@ def test_of_declared_effects_that_are_one_the_last_is_left_out_and_named():
 
 
 def test_focal_length_and_sonar_scale_look_alike_within_shots_and_the_arm_tells_them_apart():
-    arm, _ = found(30, **{f"{s}_scale": 0.01 for s in SONARS})
+    arm, _ = found(40, **{f"{s}_scale": 0.01 for s in SONARS})
     fit = arm.diagnosed.fit
     both = [Coefficient("sonars", "scale"), Coefficient("camera", "f")]
     model = fit.model.with_coefficients([*(c for c in fit.model.coefficients if c.where != "sonars"), *both])
