@@ -37,6 +37,7 @@ from aridcal.command_line import (
     for_scripts,
     print_headline,
     screens,
+    seed_argument,
 )
 from aridcal.files.campaign import load_campaign
 from aridcal.files.measurement_settings import length_argument
@@ -44,7 +45,7 @@ from aridcal.jobs.calibrate.job_inputs import read_job
 from aridcal.jobs.fleet.keys import files_of
 from aridcal.jobs.head1992.observations import CACHE
 from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
-from aridcal.system.errors import OutputError, shortened
+from aridcal.system.errors import OutputError
 from aridcal.system.progress import told_on
 from aridcal.system.reading.freed import held
 from aridcal.system.reading.regular_files import RESULT, read_file
@@ -58,8 +59,6 @@ if TYPE_CHECKING:
     from aridcal.jobs.calibrate.outcome import Outcome, Verification
 
 MOST_NOTICES = 8
-
-SEED_DIGITS = 18
 
 SHOWN_STATISTICS = ("rms", "p95", "max")
 """Statistics of an error on the screen; of all channels but the first only two, so that the table keeps its width."""
@@ -167,13 +166,6 @@ def _verification_lines(v: Verification) -> list[str]:
     return lines
 
 
-def _seed(text: str) -> int:
-    """A seed of the command line: whole, and not below zero."""
-    if not text.isdecimal() or len(text) > SEED_DIGITS:
-        raise argparse.ArgumentTypeError(f"should be a whole number from 0 on, not {shortened(text)!r}")
-    return int(text)
-
-
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("identify", __doc__)
@@ -193,7 +185,7 @@ def parser() -> CommandParser:
     )
     arguments.add_argument(
         "--seed",
-        type=_seed,
+        type=seed_argument,
         default=0,
         help="seed of the random split into fitted and held-out rows, where the table has no column `split`",
     )

@@ -26,6 +26,10 @@ RECEIVERS: tuple[Receiver, ...] = (
     Receiver("a controller's loop in C or C++", "--c DIR", "final"),
     Receiver("Python with NumPy alone", "--numpy FILE.py", "final"),
     Receiver("optimal control with CasADi", "--casadi FILE.casadi", "final"),
+    Receiver("MuJoCo", "--mjcf FILE.xml", "geometric"),
+    Receiver("Gazebo", "--sdf FILE.sdf", "geometric"),
+    Receiver("a description in xacro", "--xacro FILE.xacro", "geometric"),
+    Receiver("a policy trained on many arms", "--randomize N -o DIR", "geometric"),
 )
 """In the order in which they are listed."""
 
