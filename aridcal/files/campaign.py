@@ -28,6 +28,7 @@ from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.engine.robot.chain import Robot, load_robot, with_limbs
 from aridcal.engine.robot.drive import Stated
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, bears
+from aridcal.engine.robot.splice_mjcf import check_written_back
 from aridcal.files.counting import check_joints, check_on_chain
 from aridcal.files.instrument_settings import InstrumentSettings, Placement, TargetSettings
 from aridcal.files.measurement_settings import MeasurementSettings, Names, listed, one_of
@@ -77,6 +78,7 @@ class ArmSettings(Section):
     """Which chain of which URDF or xacro file."""
 
     urdf: RelativePath
+    """Or a xacro file, or MJCF, which may be called `mjcf`."""
     base: str | None = None
     """Link where the chain starts; `None`: the URDF's root."""
     tip: str
@@ -88,6 +90,15 @@ class ArmSettings(Section):
     """Positions of joints without a column, the same in all rows, rad or m."""
     coupled: dict[str, dict[str, Number]] = Field(default_factory=dict)
     """Factors of joints without a column that follow several others."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _mjcf_is_a_description(cls, keys: Any) -> Any:
+        if not isinstance(keys, dict) or "mjcf" not in keys:
+            return keys
+        if "urdf" in keys:
+            raise ValueError("has `urdf` and `mjcf`: write one")
+        return {("urdf" if key == "mjcf" else key): value for key, value in keys.items()}
 
     @property
     def stated(self) -> Stated:
@@ -474,6 +485,7 @@ def nominal_robot(job: Job) -> Robot:
         _check_link(link, robot, f"{job.path}: {key}", "tip, world or a link")
     if job.links:
         robot = with_limbs(robot, tuple(job.links))
+    check_written_back(robot)
     for number, payload in enumerate(job.payload):
         key = f"{job.path}: {job.payload_key(number)}.on"
         _check_link(payload.on, robot, key, "a link")

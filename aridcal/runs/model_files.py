@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from aridcal import __version__
+from aridcal.engine.robot.splice_mjcf import splice_mjcf
 from aridcal.jobs.calibrate.saved_model import SavedModel, calibration_file
 from aridcal.jobs.calibrate.urdf_files import write_urdf
 from aridcal.jobs.export.calibrated_tree import CalibratedTree
@@ -31,18 +32,21 @@ MOST_DRAWS = 100_000
 
 
 def export_mjcf(calibration: Path, file: Path) -> list[str]:
-    """Write `calibrated.urdf` as MJCF; returns what the file does not hold, in words."""
-    return _as_text(calibration, file, mjcf)
+    """Write `calibrated.urdf` as MJCF; returns what the file does not hold, in words.
+
+    Of a robot that was read from MJCF it is the user's own file, the places of its bodies calibrated.
+    """
+    return _as_text(calibration, file, _mjcf)
 
 
 def export_sdf(calibration: Path, file: Path) -> list[str]:
     """Write `calibrated.urdf` as SDF; returns what the file does not hold, in words."""
-    return _as_text(calibration, file, sdf)
+    return _as_text(calibration, file, _sdf)
 
 
 def export_xacro(calibration: Path, file: Path) -> list[str]:
     """Write the origins of `calibrated.urdf` as a macro of xacro."""
-    return _as_text(calibration, file, lambda tree, about: (xacro(tree, about), []))
+    return _as_text(calibration, file, lambda tree, about: (xacro(tree, about).encode(), []))
 
 
 def export_draws(calibration: Path, folder: Path, count: int, seed: int) -> list[str]:
@@ -82,7 +86,7 @@ def export_draws(calibration: Path, folder: Path, count: int, seed: int) -> list
 
 
 def _as_text(
-    calibration: Path, file: Path, write: Callable[[CalibratedTree, Iterable[str]], tuple[str, list[str]]]
+    calibration: Path, file: Path, write: Callable[[CalibratedTree, Iterable[str]], tuple[bytes, list[str]]]
 ) -> list[str]:
     """Write one text."""
     with alone(calibration, file):
@@ -91,8 +95,24 @@ def _as_text(
         tree = CalibratedTree(saved.geometric, calibration_file(calibration))
         text, remarks = write(tree, _about(saved, digest))
         with atomic_file(file) as path:
-            path.write_text(text, encoding="utf-8")
+            path.write_bytes(text)
     return remarks
+
+
+def _mjcf(tree: CalibratedTree, about: Iterable[str]) -> tuple[bytes, list[str]]:
+    """The user's own MJCF with its bodies calibrated, or the URDF as MJCF."""
+    if tree.robot.mjcf is None:
+        return _encoded(mjcf(tree, about))
+    return splice_mjcf(tree.robot, tree.origins), []
+
+
+def _sdf(tree: CalibratedTree, about: Iterable[str]) -> tuple[bytes, list[str]]:
+    return _encoded(sdf(tree, about))
+
+
+def _encoded(written: tuple[str, list[str]]) -> tuple[bytes, list[str]]:
+    text, remarks = written
+    return text.encode(), remarks
 
 
 def _about(saved: SavedModel, digest: str) -> list[str]:

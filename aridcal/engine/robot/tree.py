@@ -35,8 +35,6 @@ LARGEST = 1e9
 
 
 OTHER_FORMATS = {
-    "mujoco": "MJCF, MuJoCo's format, which aridcal does not read. Name the URDF that the model was made from; if there is "
-    "none, mjcf-urdf-simple-converter (PyPI) makes one: compare its poses with MuJoCo's before you use it",
     "sdf": "SDF, Gazebo's format, which aridcal does not read. Name the URDF that the model was made from; if there is none, "
     "`sdf2urdf` of sdformat_tools makes one: compare its poses with Gazebo's before you use it",
 }

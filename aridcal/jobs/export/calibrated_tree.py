@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from aridcal.engine.fit.constants import urdf_of
+from aridcal.engine.fit.constants import origins_of, urdf_of
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.drive import Drive
 from aridcal.engine.robot.link_shapes import find_mesh, floats
@@ -90,6 +90,7 @@ class CalibratedTree:
     def __init__(self, geometric: SolvedModel, home: Path) -> None:
         self.robot: Robot = geometric.model.robot
         self.urdf = urdf_of(geometric.model, geometric.theta)
+        self.origins = origins_of(geometric.model, geometric.theta)
         self.tree: UrdfTree = read_tree(self.urdf, self.robot.path, self.robot.stated)
         self._home = home
         self._links = {element.get("name", ""): element for element in parse_xml(self.urdf, home).iterfind("link")}

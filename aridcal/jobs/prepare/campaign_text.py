@@ -14,6 +14,7 @@ import pandas as pd
 import yaml
 
 from aridcal.engine.robot.expand import plain_name, read_urdf
+from aridcal.engine.robot.mjcf import as_urdf
 from aridcal.engine.robot.named import Named, described
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
@@ -78,7 +79,7 @@ def draft(
     asker = Asker(choose, settled or {})
     asker.check(QUESTIONS)
     source = described(urdf, packages or {}, arguments or {})
-    content = read_urdf(source.path, URDF, source.packages, source.arguments)
+    content = as_urdf(read_urdf(source.path, URDF, source.packages, source.arguments), source.path)
 
     def proposed(dialect: Dialect, asker: Asker) -> Proposal:
         table = read_tables(tables, None, dialect=dialect)
