@@ -9,13 +9,15 @@ joints, a temperature or a side of approach, is an argument. Where frames are pe
 
 `--mjcf FILE.xml` and `--sdf FILE.sdf` write `calibrated.urdf` for MuJoCo and Gazebo, `--xacro FILE.xacro` a macro with its
 origins. `--randomize N -o DIR` draws N calibrations that the rows allow: `draws.csv`, and `model_1.urdf` and on.
-`--list` says what can be had, and which error remains.
+`--table GRID -o DIR` writes compensation tables of joints that have an error curve of their own, for LinuxCNC, SINUMERIK
+and HEIDENHAIN. `--list` says what can be had, and which error remains.
 
 Example:
     aridcal export results --list
     aridcal export results --c my_arm && cmake -S my_arm -B build && cmake --build build && ctest --test-dir build
     aridcal export results --mjcf my_arm.xml --sdf my_arm.sdf
     aridcal export results --randomize 100 -o draws
+    aridcal export results --table 1deg,5mm -o tables
 """
 
 from __future__ import annotations
@@ -31,9 +33,9 @@ from typing import Any
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens, seed_argument
 from aridcal.jobs.calibrate.saved_model import calibration_file
 from aridcal.jobs.export.machine import Machine
-from aridcal.jobs.export.receivers import HOLDS, RECEIVERS, remaining
+from aridcal.jobs.export.receivers import FULL, RECEIVERS, remaining
 from aridcal.runs.model_export import export_c, export_casadi, export_numpy
-from aridcal.runs.model_files import export_draws, export_mjcf, export_sdf, export_xacro
+from aridcal.runs.model_files import export_draws, export_mjcf, export_sdf, export_tables, export_xacro
 from aridcal.system.errors import OutputError
 from aridcal.system.progress import Screen
 from aridcal.system.reading.user_names import path_argument
@@ -60,7 +62,10 @@ def parser() -> CommandParser:
     for option, (what, *_) in FILES.items():
         arguments.add_argument(f"--{option}", type=path_argument, metavar=_ending(option), help=f"write {what}")
     arguments.add_argument("--randomize", type=int, metavar="N", help="with -o: draw calibrations from the posterior")
-    arguments.add_argument("-o", "--out", type=path_argument, metavar="DIR", help="folder of --randomize")
+    arguments.add_argument(
+        "--table", metavar="GRID", help="with -o: compensation tables of joints, 1deg,5mm for instance"
+    )
+    arguments.add_argument("-o", "--out", type=path_argument, metavar="DIR", help="folder of --randomize, or --table")
     arguments.add_argument("--seed", type=seed_argument, default=0, help="of --randomize: the same, the same draws")
     for_scripts(arguments)
     return arguments
@@ -86,14 +91,20 @@ def _main(arguments: argparse.Namespace) -> None:
         remarks = export_draws(path, arguments.out, arguments.randomize, arguments.seed)
         drawn = f"{arguments.out}: draws.csv, model_1.urdf to model_{arguments.randomize}.urdf"
         console.say(drawn, *(f"  {remark}" for remark in remarks))
+    if arguments.table is not None:
+        said = export_tables(path, arguments.out, arguments.table)
+        console.say(
+            f"{arguments.out}: tables.csv, and a table for each controller and joint", *(f"  {line}" for line in said)
+        )
 
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse options that say nothing, or not enough."""
     endings = {"numpy": ".py", "casadi": ".casadi"} | {option: ending for option, (_, ending, _) in FILES.items()}
-    if (arguments.randomize is None) != (arguments.out is None):
-        raise OutputError("--randomize N and -o DIR belong together: give both")
-    if not any(getattr(arguments, each) for each in ("list", "c", *endings)) and arguments.randomize is None:
+    into_folder = (arguments.randomize is not None) + (arguments.table is not None)
+    if into_folder != (arguments.out is not None):
+        raise OutputError("-o DIR belongs to one of --randomize N and --table GRID: give it and one of them")
+    if not any(getattr(arguments, each) for each in ("list", "c", *endings)) and not into_folder:
         raise OutputError("say what to write, `--c DIR` for instance; `aridcal export RESULTS --list` has them all")
     if arguments.name is not None and not arguments.c:
         raise OutputError("--name is of --c DIR: give that, too")
@@ -124,10 +135,19 @@ def _list(console: Screen, path: Path, named: Path) -> None:
     """Print the table of receivers."""
     result = _result(path)
     for receiver in RECEIVERS:
-        console.say(
-            f"{receiver.who}: {HOLDS[receiver.holds]}, {remaining(receiver, result)}",
-            f"    aridcal export {shlex.quote(str(named))} {receiver.option}",
+        files = [path.parent / name for name in receiver.option.split(", ")]
+        if receiver.written and not all(file.exists() for file in files):
+            continue
+        how = (
+            ", ".join(map(str, files))
+            if receiver.written
+            else f"aridcal export {shlex.quote(str(named))} {receiver.option}"
         )
+        console.say(f"{receiver.who}: {receiver.holds}, {remaining(receiver, path.parent, result)}", f"    {how}")
+    console.say(
+        f"robot programs: {FULL}, {remaining(RECEIVERS[0], path.parent, result)}",
+        f"    aridcal compensate {shlex.quote(str(named))} PROGRAM -o CORRECTED",
+    )
 
 
 def _result(path: Path) -> dict[str, Any] | None:

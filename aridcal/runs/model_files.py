@@ -6,17 +6,23 @@ import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import numpy as np
+
 from aridcal import __version__
 from aridcal.engine.robot.splice_mjcf import splice_mjcf
+from aridcal.files.measurement_settings import ANGLES, LENGTHS, amount, with_unit
 from aridcal.jobs.calibrate.saved_model import SavedModel, calibration_file
 from aridcal.jobs.calibrate.urdf_files import write_urdf
+from aridcal.jobs.export.axis_tables import LINUXCNC_ENTRIES, AxisTable, axis_tables, heidenhain, linuxcnc, siemens
 from aridcal.jobs.export.calibrated_tree import CalibratedTree
 from aridcal.jobs.export.draws import draws
+from aridcal.jobs.export.identifiers import identifier
 from aridcal.jobs.export.mjcf_file import mjcf
 from aridcal.jobs.export.sdf_file import sdf
 from aridcal.jobs.export.xacro_file import xacro
 from aridcal.runs.model_export import MARK, alone, check_own, loaded
-from aridcal.system.errors import OutputError
+from aridcal.system.errors import OutputError, shortened
+from aridcal.system.wording import counted
 from aridcal.system.writing.apart import check_apart
 from aridcal.system.writing.table_writer import write_csv
 from aridcal.system.writing.whole_files import atomic_file, atomic_folder, claimed
@@ -29,6 +35,9 @@ DIGITS = 17
 
 MOST_DRAWS = 100_000
 """Work: files in one folder, 1 GB of an arm's."""
+
+TABLES, ABOUT_TABLES, OF_TABLES = "tables.csv", "tables.txt", re.compile(r"\.comp$|_eec\.ini$|_com\.csv$")
+"""What a folder of compensation tables holds."""
 
 
 def export_mjcf(calibration: Path, file: Path) -> list[str]:
@@ -83,6 +92,92 @@ def export_draws(calibration: Path, folder: Path, count: int, seed: int) -> list
                 write_urdf(stage / name, final.model, theta)
     unknown = len(saved.untold)
     return [f"{unknown} combinations of constants that no row tells are the same in all"] if unknown else []
+
+
+def export_tables(calibration: Path, folder: Path, grid: str) -> list[str]:
+    """Write compensation tables of joints that have an error curve of their own.
+
+    Args:
+        calibration: ``calibration.yaml``, or its result folder.
+        folder: Where to write; tables of an earlier calibration go.
+        grid: Steps with their units, of what turns and of what slides: ``1deg,5mm``.
+
+    Returns:
+        Of each table, how far it is from the curve, in words.
+
+    Raises:
+        OutputError: the grid is none, or no joint has such a curve.
+    """
+    steps = _steps(grid)
+    check_apart([folder / TABLES, folder / ABOUT_TABLES], [calibration])
+    earlier = _tables_in(folder)
+    with claimed(folder, "folder", [TABLES, ABOUT_TABLES]):
+        saved, digest = loaded(calibration)
+        tables = axis_tables(saved, **steps)
+        robot, maps = saved.final.model.robot, (calibration_file(calibration).parent / "joint_maps.urdf").exists()
+        lines = [
+            f"Error curves of joints of the calibrated robot {robot.path.name}, {MARK} {__version__}.",
+            f"They go with {'joint_maps.urdf' if maps else 'calibrated.urdf'}: all other effects are left out.",
+            f"sha256 of calibration.yaml: {digest}",
+        ]
+        written = {each.joint: _between(each, saved.span) for each in tables}
+        with atomic_folder(folder, earlier) as stage:
+            columns: dict[str, list[np.ndarray]] = {"joint": [], "reading": [], "rising": [], "falling": []}
+            for each in tables:
+                values = (np.full(len(each.readings), each.joint), each.readings, each.rising, each.falling)
+                for column, some in zip(columns.values(), values, strict=True):
+                    column.append(some)
+                name, number = identifier(each.joint), robot.readings.index(each.joint) + 1
+                (stage / f"{name}.comp").write_text(linuxcnc(each))
+                (stage / f"{name}_eec.ini").write_text(siemens(each, number, [*lines, written[each.joint]]), "utf-8")
+                (stage / f"{name}_com.csv").write_text(heidenhain(each))
+            write_csv({key: np.concatenate(parts) for key, parts in columns.items()}, stage / TABLES, DIGITS)
+            about = [*lines, *(f"{joint}: {words}" for joint, words in written.items())]
+            (stage / ABOUT_TABLES).write_text("\n".join([*about, ""]), encoding="utf-8")
+    long = [each.joint for each in tables if len(each.readings) > LINUXCNC_ENTRIES]
+    remarks = [f"{name}.comp has more than the {LINUXCNC_ENTRIES} entries that LinuxCNC reads" for name in long]
+    return [*(f"{joint}: {words}" for joint, words in written.items()), *remarks]
+
+
+def _tables_in(folder: Path) -> list[str]:
+    """Files of an earlier export of tables.
+
+    Raises:
+        OutputError: there are tables, and no export wrote them.
+    """
+    if not (folder / TABLES).exists() and not (folder / ABOUT_TABLES).exists():
+        return []
+    check_own([folder / ABOUT_TABLES])
+    if not (folder / ABOUT_TABLES).exists():
+        raise OutputError(f"{folder}: has {TABLES}, and no {ABOUT_TABLES}: not of an export; give another folder")
+    return [path.name for path in folder.iterdir() if OF_TABLES.search(path.name)]
+
+
+def _steps(grid: str) -> dict[str, float | None]:
+    """Steps in rad and in m."""
+    steps: dict[str, float | None] = {"angle": None, "length": None}
+    for part in grid.split(","):
+        try:
+            value = with_unit(part.strip(), {**ANGLES, **LENGTHS}, "1deg,5mm")
+        except ValueError as problem:
+            raise OutputError(f"--table: {problem}") from None
+        kind = "angle" if amount(part.strip())[1] in ANGLES else "length"
+        if steps[kind] is not None:
+            raise OutputError(
+                f"--table {shortened(grid)}: two steps of one kind: write one for what turns, one for what slides"
+            )
+        steps[kind] = value
+    return steps
+
+
+def _between(table: AxisTable, span: float) -> str:
+    """How far a table is from the curve between its entries, in words."""
+    unit, scale = ("mrad", 1e3) if table.turns else ("mm", 1e3)
+    far = f", {1e3 * table.worst * span:.2g} mm at {span:.2f} m" if table.turns else ""
+    return (
+        f"{counted(len(table.readings), 'place')}, {table.step * table.scale:.6g} {table.unit} apart, corrections to {scale * table.largest:.3g} {unit}, between "
+        f"them off by {scale * table.worst:.2g} {unit} at most{far}"
+    )
 
 
 def _as_text(
