@@ -9,6 +9,7 @@ joints, a temperature or a side of approach, is an argument. Where frames are pe
 
 `--mjcf FILE.xml` and `--sdf FILE.sdf` write `calibrated.urdf` for MuJoCo and Gazebo, `--xacro FILE.xacro` a macro with its
 origins. `--randomize N -o DIR` draws N calibrations that the rows allow: `draws.csv`, and `model_1.urdf` and on.
+`--ros2 DIR` writes a launch with its URDF and transforms, and a node that corrects trajectories with the model as C.
 `--table GRID -o DIR` writes compensation tables of joints that have an error curve of their own, for LinuxCNC, SINUMERIK
 and HEIDENHAIN. `--list` says what can be had, and which error remains.
 
@@ -35,7 +36,7 @@ from aridcal.jobs.calibrate.saved_model import calibration_file
 from aridcal.jobs.export.machine import Machine
 from aridcal.jobs.export.receivers import FULL, RECEIVERS, remaining
 from aridcal.runs.model_export import export_c, export_casadi, export_numpy
-from aridcal.runs.model_files import export_draws, export_mjcf, export_sdf, export_tables, export_xacro
+from aridcal.runs.model_files import export_draws, export_mjcf, export_ros2, export_sdf, export_tables, export_xacro
 from aridcal.system.errors import OutputError
 from aridcal.system.progress import Screen
 from aridcal.system.reading.user_names import path_argument
@@ -61,6 +62,7 @@ def parser() -> CommandParser:
     arguments.add_argument("--casadi", type=path_argument, metavar="FILE.casadi", help="write a function of CasADi")
     for option, (what, *_) in FILES.items():
         arguments.add_argument(f"--{option}", type=path_argument, metavar=_ending(option), help=f"write {what}")
+    arguments.add_argument("--ros2", type=path_argument, metavar="DIR", help="write files for ROS 2 into this folder")
     arguments.add_argument("--randomize", type=int, metavar="N", help="with -o: draw calibrations from the posterior")
     arguments.add_argument(
         "--table", metavar="GRID", help="with -o: compensation tables of joints, 1deg,5mm for instance"
@@ -87,6 +89,10 @@ def _main(arguments: argparse.Namespace) -> None:
     for option, (what, _, write) in FILES.items():
         if file := getattr(arguments, option):
             console.say(f"{file}: {what}", *(f"  {remark}" for remark in write(path, file)))
+    if arguments.ros2:
+        remarks = export_ros2(path, arguments.ros2)
+        written = f"{arguments.ros2}: calibrated.launch.py, correct_trajectory.py, and what they need"
+        console.say(written, *(f"  {remark}" for remark in remarks))
     if arguments.randomize is not None:
         remarks = export_draws(path, arguments.out, arguments.randomize, arguments.seed)
         drawn = f"{arguments.out}: draws.csv, model_1.urdf to model_{arguments.randomize}.urdf"
@@ -104,7 +110,7 @@ def _check(arguments: argparse.Namespace) -> None:
     into_folder = (arguments.randomize is not None) + (arguments.table is not None)
     if into_folder != (arguments.out is not None):
         raise OutputError("-o DIR belongs to one of --randomize N and --table GRID: give it and one of them")
-    if not any(getattr(arguments, each) for each in ("list", "c", *endings)) and not into_folder:
+    if not any(getattr(arguments, each) for each in ("list", "c", "ros2", *endings)) and not into_folder:
         raise OutputError("say what to write, `--c DIR` for instance; `aridcal export RESULTS --list` has them all")
     if arguments.name is not None and not arguments.c:
         raise OutputError("--name is of --c DIR: give that, too")

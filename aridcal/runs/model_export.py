@@ -47,18 +47,28 @@ def export_c(calibration: Path, folder: Path, name: str | None) -> tuple[Machine
         raise OutputError(
             f"--name {shortened(name)}: is no name in C: use letters, digits and _, and begin with a letter"
         )
-    names = [f"{name}.h", f"{name}.c", f"{name}_test.c", "CMakeLists.txt"]
+    names = c_names(name)
     paths = [folder / each for each in names]
     check_apart(paths, [calibration])
     with claimed(folder, "folder", names):
         check_own(paths)
         saved, digest = loaded(calibration)
         described = machine(saved)
-        files = c_files(described, name, digest, _about(saved, described, name), predicted_rows(saved, described, ROWS))
         with atomic_folder(folder) as stage:
-            for file, text in files.items():
-                (stage / file).write_text(text, encoding="utf-8")
+            write_c(stage, saved, described, name, digest)
     return described, name
+
+
+def c_names(name: str) -> list[str]:
+    """Files of the export as C."""
+    return [f"{name}.h", f"{name}.c", f"{name}_test.c", "CMakeLists.txt"]
+
+
+def write_c(folder: Path, saved: SavedModel, described: Machine, name: str, digest: str) -> None:
+    """Write the export as C into a folder that is being made."""
+    rows = predicted_rows(saved, described, ROWS)
+    for file, text in c_files(described, name, digest, _about(saved, described, name), rows).items():
+        (folder / file).write_text(text, encoding="utf-8")
 
 
 def export_numpy(calibration: Path, file: Path) -> Machine:

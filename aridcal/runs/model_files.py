@@ -11,17 +11,21 @@ import numpy as np
 from aridcal import __version__
 from aridcal.engine.robot.splice_mjcf import splice_mjcf
 from aridcal.files.measurement_settings import ANGLES, LENGTHS, amount, with_unit
+from aridcal.files.yaml_file import parse_yaml
 from aridcal.jobs.calibrate.saved_model import SavedModel, calibration_file
 from aridcal.jobs.calibrate.urdf_files import write_urdf
 from aridcal.jobs.export.axis_tables import LINUXCNC_ENTRIES, AxisTable, axis_tables, heidenhain, linuxcnc, siemens
 from aridcal.jobs.export.calibrated_tree import CalibratedTree
 from aridcal.jobs.export.draws import draws
 from aridcal.jobs.export.identifiers import identifier
+from aridcal.jobs.export.machine import machine
 from aridcal.jobs.export.mjcf_file import mjcf
+from aridcal.jobs.export.ros2_files import asset, static_transforms, transforms_text, transmissions
 from aridcal.jobs.export.sdf_file import sdf
 from aridcal.jobs.export.xacro_file import xacro
-from aridcal.runs.model_export import MARK, alone, check_own, loaded
+from aridcal.runs.model_export import MARK, alone, c_names, check_own, loaded, write_c
 from aridcal.system.errors import OutputError, shortened
+from aridcal.system.reading.regular_files import SETTINGS, read_file
 from aridcal.system.wording import counted
 from aridcal.system.writing.apart import check_apart
 from aridcal.system.writing.table_writer import write_csv
@@ -139,6 +143,67 @@ def export_tables(calibration: Path, folder: Path, grid: str) -> list[str]:
     return [*(f"{joint}: {words}" for joint, words in written.items()), *remarks]
 
 
+def export_ros2(calibration: Path, folder: Path) -> list[str]:
+    """Write what a launch of ROS 2 takes as it is, and a node that corrects trajectories with the model as C.
+
+    Args:
+        calibration: ``calibration.yaml``, or its result folder.
+        folder: Where to write it; whatever else is in it stays.
+
+    Returns:
+        What is left out, and what the node must be told, in words.
+
+    Raises:
+        OutputError: a file in the way is somebody's own.
+    """
+    name, beside = identifier(folder.resolve().name), calibration_file(calibration).parent
+    texts = [
+        "static_transforms.yaml",
+        "calibrated.launch.py",
+        "correct_trajectory.py",
+        "joint_offsets.ros2_control.xml",
+    ]
+    names = [*c_names(name), *texts, "calibrated.urdf", "kinematics.yaml"]
+    paths = [folder / each for each in names]
+    check_apart(paths, [calibration, beside / "calibrated.urdf", beside / "kinematics.yaml"])
+    with claimed(folder, "folder", names):
+        check_own(paths[:-2])
+        if not (folder / texts[0]).exists() and any(path.exists() for path in paths[-2:]):
+            raise OutputError(f"{folder}: has a {' or a '.join(names[-2:])} of its own; give another folder")
+        saved, digest = loaded(calibration)
+        tree = CalibratedTree(saved.geometric, calibration_file(calibration))
+        about, described = _about(saved, digest), machine(saved)
+        transforms, remarks = static_transforms(saved, tree)
+        with atomic_folder(folder, names[-3:]) as stage:
+            write_c(stage, saved, described, name, digest)
+            write_urdf(stage / "calibrated.urdf", saved.geometric.model, saved.geometric.theta)
+            (stage / texts[0]).write_text(transforms_text(transforms, about), encoding="utf-8")
+            for each in texts[1:3]:
+                (stage / each).write_text(asset(each, name, f"{MARK} {__version__}"), encoding="utf-8")
+            if (beside / "kinematics.yaml").exists():
+                (stage / "kinematics.yaml").write_bytes((beside / "kinematics.yaml").read_bytes())
+            offsets = _offsets(beside)
+            if offsets:
+                note = "Offsets of joints by themselves, without calibrated.urdf: the error is that of `joint offsets alone`."
+                (stage / texts[3]).write_text(transmissions(offsets, [about[0], note, about[2]]), encoding="utf-8")
+            else:
+                remarks.append(f"{texts[3]} is left out: no joint_offsets.yaml beside the calibration")
+    told = [each.name for each in described.conditions if not each.name.endswith("_direction")]
+    return [*remarks, *(f"the node needs the condition {each}: -p conditions.{each}:=NUMBER" for each in told)]
+
+
+def _offsets(folder: Path) -> dict[str, float]:
+    """Offsets of joints that a result folder states; none where it does not."""
+    path = folder / "joint_offsets.yaml"
+    if not path.exists():
+        return {}
+    text = read_file(path, OutputError, SETTINGS).decode("utf-8", "replace")
+    offsets = parse_yaml(text, path)[0].get("joint_offsets")
+    if not isinstance(offsets, dict) or not all(isinstance(value, float) for value in offsets.values()):
+        raise OutputError(f"{path}: is none of `identify`: restore it, or move it away")
+    return {str(name): value for name, value in offsets.items()}
+
+
 def _tables_in(folder: Path) -> list[str]:
     """Files of an earlier export of tables.
 
@@ -172,11 +237,11 @@ def _steps(grid: str) -> dict[str, float | None]:
 
 def _between(table: AxisTable, span: float) -> str:
     """How far a table is from the curve between its entries, in words."""
-    unit, scale = ("mrad", 1e3) if table.turns else ("mm", 1e3)
+    unit = "mrad" if table.turns else "mm"
     far = f", {1e3 * table.worst * span:.2g} mm at {span:.2f} m" if table.turns else ""
     return (
-        f"{counted(len(table.readings), 'place')}, {table.step * table.scale:.6g} {table.unit} apart, corrections to {scale * table.largest:.3g} {unit}, between "
-        f"them off by {scale * table.worst:.2g} {unit} at most{far}"
+        f"{counted(len(table.readings), 'place')}, {table.step * table.scale:.6g} {table.unit} apart, corrections to "
+        f"{1e3 * table.largest:.3g} {unit}, between them off by {1e3 * table.worst:.2g} {unit} at most{far}"
     )
 
 
