@@ -8,7 +8,7 @@ NAME_jacobian how it moves, NAME_in_range whether that was measured. `--numpy FI
 joints, a temperature or a side of approach, is an argument. Where frames are per station, the first station's are taken.
 
 `--mjcf FILE.xml` and `--sdf FILE.sdf` write `calibrated.urdf` for MuJoCo and Gazebo, `--xacro FILE.xacro` a macro with its
-origins. `--randomize N -o DIR` draws N calibrations that the rows allow: `draws.csv`, and `model_1.urdf` and on.
+origins. `--randomize N -o DIR` draws N calibrations that the rows allow: `draws.csv`, `frames.csv`, `model_1.urdf` and on.
 `--ros2 DIR` writes a launch with its URDF and transforms, and a node that corrects trajectories with the model as C.
 `--table GRID -o DIR` writes compensation tables of joints that have an error curve of their own, for LinuxCNC, SINUMERIK
 and HEIDENHAIN. `--list` says what can be had, and which error remains.
@@ -95,7 +95,7 @@ def _main(arguments: argparse.Namespace) -> None:
         console.say(written, *(f"  {remark}" for remark in remarks))
     if arguments.randomize is not None:
         remarks = export_draws(path, arguments.out, arguments.randomize, arguments.seed)
-        drawn = f"{arguments.out}: draws.csv, model_1.urdf to model_{arguments.randomize}.urdf"
+        drawn = f"{arguments.out}: draws.csv, frames.csv, model_1.urdf to model_{arguments.randomize}.urdf"
         console.say(drawn, *(f"  {remark}" for remark in remarks))
     if arguments.table is not None:
         said = export_tables(path, arguments.out, arguments.table)

@@ -235,13 +235,24 @@ def test_draws_have_the_covariance_that_the_calibration_states_and_each_its_urdf
             text == (tmp_path / "b" / f"model_{k}.urdf").read_bytes() == urdf_of(final.model, table.to_numpy()[k - 1])
         )
     assert export.main([str(folder), "--randomize", "2", "-o", str(tmp_path / "a")]) == 0
-    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["draws.csv", "model_1.urdf", "model_2.urdf"]
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == [
+        "draws.csv",
+        "frames.csv",
+        "model_1.urdf",
+        "model_2.urdf",
+    ]
 
 
 def test_every_form_of_basis_has_a_column_of_its_own_in_the_draws(tmp_path: Path) -> None:
     saved = spoilt(3, robots.random_robot(1))
     assert export.main([str(written(saved, tmp_path / "r")), "--randomize", "1", "-o", str(tmp_path / "a")]) == 0
     table = pd.read_csv(tmp_path / "a" / "draws.csv")
+    drawn = pd.read_csv(tmp_path / "a" / "frames.csv").iloc[0]
+    for where, ((_, frame),) in zip(
+        ("world_base", "tip_target"), saved.final.model.frames(table.to_numpy()[0]), strict=True
+    ):
+        T = pin.XYZQUATToSE3(np.array([drawn[f"{where}.{key}"] for key in ("x", "y", "z", "qx", "qy", "qz", "qw")]))
+        np.testing.assert_allclose(T.homogeneous, frame.homogeneous, rtol=0, atol=1e-12)
     assert list(table.columns) == [c.name for c in saved.final.model.coefficients]
 
 

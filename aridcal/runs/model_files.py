@@ -16,7 +16,7 @@ from aridcal.jobs.calibrate.saved_model import SavedModel, calibration_file
 from aridcal.jobs.calibrate.urdf_files import write_urdf
 from aridcal.jobs.export.axis_tables import LINUXCNC_ENTRIES, AxisTable, axis_tables, heidenhain, linuxcnc, siemens
 from aridcal.jobs.export.calibrated_tree import CalibratedTree
-from aridcal.jobs.export.draws import draws
+from aridcal.jobs.export.draws import draws, frames_of
 from aridcal.jobs.export.identifiers import identifier
 from aridcal.jobs.export.machine import machine
 from aridcal.jobs.export.mjcf_file import mjcf
@@ -31,7 +31,7 @@ from aridcal.system.writing.apart import check_apart
 from aridcal.system.writing.table_writer import write_csv
 from aridcal.system.writing.whole_files import atomic_file, atomic_folder, claimed
 
-DRAWS, DRAWN = "draws.csv", re.compile(r"model_\d+\.urdf")
+DRAWS, FRAMES, DRAWN = "draws.csv", "frames.csv", re.compile(r"model_\d+\.urdf")
 """What a folder of drawn calibrations holds."""
 
 DIGITS = 17
@@ -63,7 +63,7 @@ def export_xacro(calibration: Path, file: Path) -> list[str]:
 
 
 def export_draws(calibration: Path, folder: Path, count: int, seed: int) -> list[str]:
-    """Write calibrations drawn from the posterior: their coefficients, and a `model.urdf` of each.
+    """Write calibrations drawn from the posterior: their coefficients, their frames, and a `model.urdf` of each.
 
     Args:
         calibration: ``calibration.yaml``, or its result folder.
@@ -79,11 +79,12 @@ def export_draws(calibration: Path, folder: Path, count: int, seed: int) -> list
     """
     if not 1 <= count <= MOST_DRAWS:
         raise OutputError(f"--randomize {count}: should be from 1 to {MOST_DRAWS:,}")
-    check_apart([folder / DRAWS], [calibration])
+    check_apart([folder / DRAWS, folder / FRAMES], [calibration])
     earlier = [path.name for path in folder.glob("model_*.urdf") if DRAWN.fullmatch(path.name)]
     if earlier and not (folder / DRAWS).is_file():
         raise OutputError(f"{folder}: has {earlier[0]}, and no {DRAWS}: not of a draw; give another folder")
-    names = [DRAWS, *(f"model_{k}.urdf" for k in range(1, count + 1))]
+    models = [f"model_{k}.urdf" for k in range(1, count + 1)]
+    names = [DRAWS, FRAMES, *models]
     with claimed(folder, "folder", names):
         saved = loaded(calibration)[0]
         final = saved.final
@@ -92,7 +93,8 @@ def export_draws(calibration: Path, folder: Path, count: int, seed: int) -> list
             write_csv(
                 dict(zip((c.name for c in final.model.coefficients), values.T, strict=True)), stage / DRAWS, DIGITS
             )
-            for name, theta in zip(names[1:], values, strict=True):
+            write_csv(frames_of(final.model, values), stage / FRAMES, DIGITS)
+            for name, theta in zip(models, values, strict=True):
                 write_urdf(stage / name, final.model, theta)
     unknown = len(saved.untold)
     return [f"{unknown} combinations of constants that no row tells are the same in all"] if unknown else []

@@ -104,7 +104,8 @@ def axis_tables(saved: SavedModel, angle: float | None, length: float | None) ->
         tables.append(
             AxisTable(
                 joint.name, joint.kind != "prismatic", float(saved.controller_zeros.get(joint.name, 0.0)), readings,
-                *ways, float(np.abs(np.subtract(exact, lines)).max()), float(np.abs(exact).max()),
+                ways[0],
+                ways[1], float(np.abs(np.subtract(exact, lines)).max()), float(np.abs(exact).max()),
             )
         )  # fmt: skip
     if lacking:

@@ -44,7 +44,7 @@ def mjcf(tree: CalibratedTree, about: Iterable[str]) -> tuple[str, list[str]]:
     for step in tree.steps:
         if step.child == WORLD:
             raise OutputError(f"link {WORLD!r} is not the root, and MuJoCo knows no other body of that name: rename it")
-        body = etree.SubElement(bodies[step.parent], "body", name=step.child, **_pose(step.origin))
+        body = etree.SubElement(bodies[step.parent], "body", {"name": step.child, **_pose(step.origin)})
         bodies[step.child] = body
         if step.kind is not None:
             body.append(_joint(step))
@@ -74,7 +74,7 @@ def _fill(body: etree._Element, tree: CalibratedTree, link: str, assets: etree._
             body, "inertial", pos=as_text(weight.placement.translation), mass=repr(weight.mass), fullinertia=full
         )
     for solid in tree.solids(link, MESHES):
-        geom = etree.SubElement(body, "geom", type=solid.kind, **_pose(solid.placement))
+        geom = etree.SubElement(body, "geom", {"type": solid.kind, **_pose(solid.placement)})
         if solid.kind == "mesh":
             name = f"{link}_{len(assets)}"
             etree.SubElement(assets, "mesh", name=name, file=str(solid.mesh), scale=as_text(solid.size))

@@ -77,7 +77,7 @@ def _link(model: etree._Element, tree: CalibratedTree, name: str, joint: str | N
 
 
 def _joint(model: etree._Element, step: Step) -> None:
-    kind = "fixed" if step.kind is None else step.kind
+    kind: str = "fixed" if step.kind is None else step.kind
     if step.kind == "revolute" and step.limits is None:
         kind = "continuous"
     joint = etree.SubElement(model, "joint", name=step.name, type=kind)
