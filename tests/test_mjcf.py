@@ -11,7 +11,7 @@ import pytest
 import robots
 import yaml
 from lxml import etree
-from test_export import saved_from
+from test_export import saved_from, written
 
 import aridcal
 from aridcal import export, identify, simulate
@@ -216,6 +216,7 @@ REFUSED = {
         "other",
         "<joint> ties 'grip_2'",
     ),
+    "welded": (broken("</equality>", '<weld body1="upper" body2="finger"/></equality>'), "tcp", "<weld> ties 'upper'"),
     "anchor at the tip": (ARM, "shoulder", "name a site or a body beyond it"),
 }
 
@@ -232,3 +233,17 @@ def test_an_arm_cannot_be_described_twice(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "campaign.yaml").write_text(yaml.safe_dump(keys))
     assert identify.main([str(tmp_path / "campaign.yaml")]) == 2
     assert "has `urdf` and `mjcf`: write one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("codec", ["utf-8-sig", "latin-1"])
+def test_bytes_of_any_encoding_and_line_end_are_kept(codec: str, tmp_path: Path) -> None:
+    name = "iso-8859-1" if codec == "latin-1" else "utf-8"
+    text = ARM.replace("<?xml version='1.0'?>", f"<?xml version='1.0' encoding='{name}'?>").replace(
+        "an arm", "Süd &amp; é"
+    )
+    before = text.replace("\n", "\r\n").encode(codec)
+    robot = parse_robot(before, "tcp", "base")
+    saved = calibrated(robot)
+    content = splice_mjcf(robot, origins_of(saved.geometric.model, saved.geometric.theta))
+    assert content != before and without_places(content) == without_places(before)
+    assert SavedModel.load(written(saved, tmp_path / "r")).final.model.robot.mjcf == before

@@ -84,18 +84,20 @@ class Compiled:
     Attributes:
         urdf: The links and joints.
         owners: By joint, what holds its origin; joints that no element holds alone are absent.
-        bound: By name of a link or joint, the ``<equality>`` that ties it to others.
+        bound: By ``joint``, ``body`` or ``site`` and its name, the ``<equality>`` that ties it to others.
         remarks: What the URDF does not hold, in words.
     """
 
     urdf: bytes
     owners: Mapping[str, Owner]
-    bound: Mapping[str, str]
+    bound: Mapping[tuple[str, str], str]
     remarks: tuple[str, ...]
 
 
 def is_mjcf(content: bytes) -> bool:
     """Tell whether a description's top element is ``<mujoco>``."""
+    if b"<mujoco" not in content.replace(b"\0", b""):
+        return False
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, recover=True)
     try:
         root = etree.fromstring(content, parser)
@@ -138,7 +140,7 @@ class _Reader:
     mjcf: bytes
     path: Path
     owners: dict[str, Owner] = field(default_factory=dict)
-    bound: dict[str, str] = field(default_factory=dict)
+    bound: dict[tuple[str, str], str] = field(default_factory=dict)
     names: dict[str, None] = field(default_factory=dict)
     joints: dict[str, None] = field(default_factory=dict)
     weightless: int = 0
@@ -390,7 +392,7 @@ class _Reader:
                 continue
             for key in ("joint1", "joint2", "body1", "body2", "site1", "site2"):
                 if name := element.get(key):
-                    self.bound[name] = f"line {element.sourceline}: <{element.tag}>"
+                    self.bound[key[:-1], name] = f"line {element.sourceline}: <{element.tag}>"
 
     def _claim(self, element: etree._Element, tag: str) -> str:
         """The name of a link for a body or a site; a site that is named as a body is called so."""

@@ -34,11 +34,15 @@ def check_written_back(robot: Robot) -> None:
                 f"{robot.path}: {name!r}: the `pos` of its body cannot hold its correction: give each joint a body of its own, "
                 "and where the last joint has a `pos`, name a site or a body beyond it as `robot.tip`"
             )
-    for name in robot.names:
-        if name in source.bound:
+    joints = read_tree(robot.urdf, robot.path).joints
+    on_chain = {*robot.names, *(fixed.name for limb in robot.limbs for gap in limb.fixed for fixed in gap)}
+    links = [child.get("link", "") for name in on_chain for child in joints[name].iterfind("child")]
+    kinds = [("joint", name) for name in robot.names] + [(kind, link) for link in links for kind in ("body", "site")]
+    for kind, name in kinds:
+        if (kind, name) in source.bound:
             raise RobotError(
-                f"{robot.path}: {source.bound[name]} ties {name!r} to others, and what is tied has no column of its own: "
-                'switch it off (active="false"), or name the URDF of this robot'
+                f"{robot.path}: {source.bound[kind, name]} ties {name!r} to others, and what is tied does not move by its own "
+                'reading alone: switch it off (active="false"), or name the URDF of this robot'
             )
 
 

@@ -21,6 +21,9 @@ from aridcal.engine.robot.tree import MOVING, UrdfTree, numbers, parse_xml, plac
 from aridcal.jobs.calibrate.saved_model import SolvedModel
 from aridcal.system.wording import counted
 
+LEAST_MASS, LEAST_INERTIA = 1e-6, 1e-9
+"""Of a link without a weight where a simulator wants one, [kg] and [kg m^2]: a grain of sand, which bears on no joint."""
+
 
 @dataclass(frozen=True)
 class Body:

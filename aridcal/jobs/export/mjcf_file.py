@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from aridcal.jobs.export.calibrated_tree import CalibratedTree, Step, as_comment, as_text
+from aridcal.jobs.export.calibrated_tree import LEAST_INERTIA, LEAST_MASS, CalibratedTree, Step, as_comment, as_text
 from aridcal.system.errors import OutputError
 
 MESHES = (".stl", ".obj")
@@ -17,7 +17,7 @@ MESHES = (".stl", ".obj")
 WORLD = "world"
 """MuJoCo's name for its own root: a link of this name can be that alone."""
 
-LEAST = {"boundmass": "1e-6", "boundinertia": "1e-9", "balanceinertia": "true"}
+LEAST = {"boundmass": repr(LEAST_MASS), "boundinertia": repr(LEAST_INERTIA), "balanceinertia": "true"}
 """MuJoCo refuses moving bodies without a weight, and inertias that no body has; a URDF may have both. [kg], [kg m^2]."""
 
 

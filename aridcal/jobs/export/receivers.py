@@ -52,7 +52,7 @@ RECEIVERS: tuple[Receiver, ...] = (
     Receiver("LinuxCNC, SINUMERIK, HEIDENHAIN: compensation tables", "--table GRID -o DIR", MAPS),
     Receiver("robot_state_publisher, MoveIt, Drake, Isaac", "calibrated.urdf", URDF_ALONE),
     Receiver("MuJoCo: your own file", "calibrated.xml", URDF_ALONE),
-    Receiver("Universal Robots' driver (ur_description)", "kinematics.yaml", URDF_ALONE),
+    Receiver("ur_description, franka_description", "kinematics.yaml", URDF_ALONE),
     Receiver("controllers that take DH tables", "dh.yaml, dh_modified.yaml", URDF_ALONE),
     Receiver("controllers that take a URDF and a table for each joint", "joint_maps.urdf, joint_maps.csv", MAPS),
     Receiver("a URDF for each part of the workspace", "regions/index.yaml", REGIONS),

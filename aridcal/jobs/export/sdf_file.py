@@ -10,7 +10,15 @@ import pinocchio as pin
 from lxml import etree
 
 from aridcal.engine.robot.splice import rpy_near
-from aridcal.jobs.export.calibrated_tree import CalibratedTree, Step, as_comment, as_text
+from aridcal.jobs.export.calibrated_tree import (
+    LEAST_INERTIA,
+    LEAST_MASS,
+    Body,
+    CalibratedTree,
+    Step,
+    as_comment,
+    as_text,
+)
 from aridcal.system.errors import OutputError
 
 MESHES = (".stl", ".obj", ".dae", ".glb", ".gltf")
@@ -56,14 +64,14 @@ def _link(model: etree._Element, tree: CalibratedTree, name: str, joint: str | N
     link = etree.SubElement(model, "link", name=name)
     if joint is not None:  # where its joint is
         etree.SubElement(link, "pose", relative_to=joint).text = "0 0 0 0 0 0"
-    weight = tree.body(name)
-    if weight is not None:
-        inertial = etree.SubElement(link, "inertial")
-        etree.SubElement(inertial, "pose").text = _pose(weight.placement)
-        etree.SubElement(inertial, "mass").text = repr(weight.mass)
-        inertia = etree.SubElement(inertial, "inertia")
-        for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-            etree.SubElement(inertia, f"i{'xyz'[i]}{'xyz'[j]}").text = repr(float(weight.inertia[i, j]))
+    # Of a link that says nothing SDF takes a kilogram.
+    weight = tree.body(name) or Body(LEAST_MASS, pin.SE3.Identity(), LEAST_INERTIA * np.eye(3))
+    inertial = etree.SubElement(link, "inertial")
+    etree.SubElement(inertial, "pose").text = _pose(weight.placement)
+    etree.SubElement(inertial, "mass").text = repr(weight.mass)
+    inertia = etree.SubElement(inertial, "inertia")
+    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        etree.SubElement(inertia, f"i{'xyz'[i]}{'xyz'[j]}").text = repr(float(weight.inertia[i, j]))
     for k, solid in enumerate(tree.solids(name, MESHES)):
         collision = etree.SubElement(link, "collision", name=f"{name}_{k}")
         etree.SubElement(collision, "pose").text = _pose(solid.placement)
