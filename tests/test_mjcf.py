@@ -198,7 +198,11 @@ def broken(old: str, new: str) -> str:
 REFUSED = {
     "free": (broken('<joint name="pan" pos=".01 .02 .03" ref="20"/>', "<freejoint/>"), "tcp", "a free joint"),
     "ball": (broken('<joint name="bend"/>', '<joint name="bend" type="ball"/>'), "tcp", "'bend' of MJCF: a ball joint"),
-    "include": (broken("<asset>", '<include file="more.xml"/><asset>'), "tcp", "<include> of MJCF: Name the file"),
+    "include": (
+        broken("<asset>", '<include file="more.xml"/><asset>'),
+        "tcp",
+        "<include> of MJCF: what it brings may move joints",
+    ),
     "included body": (broken("<light", '<include file="more.xml"/><light'), "tcp", "line 14: <include>"),
     "frame": (broken("<light", '<frame pos="1 0 0"/><light'), "tcp", "<frame> of MJCF"),
     "composite": (broken("<light", '<composite type="cable"/><light'), "tcp", "<composite> of MJCF"),

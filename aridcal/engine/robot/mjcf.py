@@ -58,6 +58,9 @@ SECTIONS = frozenset(
 FAR = 1e3
 """[m] or [rad]: a limit for what slides and has none, since a URDF must state one; no robot reaches it."""
 
+INCLUDED = "what it brings may move joints: name the file that holds the arm itself, or let MuJoCo save all as one file (mj_saveLastXML)"
+"""What is said of `<include>`."""
+
 LEAST_AXIS = 1e-9
 """Length of an axis below which it has no direction, as in URDFs."""
 
@@ -170,16 +173,14 @@ class _Reader:
             elif section.tag == "equality":
                 self._equality(section)
             elif isinstance(section.tag, str) and section.tag not in {"compiler", "default", *SECTIONS}:
-                raise self._refused(
-                    section, "Name the file that holds the bodies themselves" if section.tag == "include" else ""
-                )
+                raise self._refused(section, INCLUDED if section.tag == "include" else "")
         etree.indent(self._robot)
         remarks = []
         if self.shapes:
             remarks.append("its shapes are not in the URDFs nor in scene.html; calibrated.xml has them")
         if self.weightless:
             remarks.append(
-                f"{counted(self.weightless, 'body')} without <inertial> count as weightless: say their weight where effects "
+                f"{counted(self.weightless, 'link')} without <inertial> count as weightless: say their weight where effects "
                 "of gravity matter"
             )  # fmt: skip
         return Compiled(etree.tostring(self._robot, encoding="utf-8"), self.owners, self.bound, tuple(remarks))
