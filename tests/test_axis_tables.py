@@ -66,7 +66,11 @@ def test_an_axis_that_follows_its_table_stands_where_the_nominal_arm_would(
 def test_all_controllers_are_told_the_same_in_their_own_files(wavy: SavedModel, tmp_path: Path) -> None:
     folder = written(wavy, tmp_path / "r")
     command = [str(folder), "--table", "2deg,10mm", "-o", str(tmp_path / "t")]
-    assert export.main(command) == 0 == export.main(command)
+    assert export.main(command) == 0
+    for name in ("own.comp", f"{TURNING}_eec.ini"):
+        (tmp_path / "t" / name).write_text("mine")
+    assert export.main(command) == 0  # its own files are written anew, and others stay
+    assert (tmp_path / "t" / "own.comp").read_text() == "mine"
     for joint, number, scale in ((TURNING, 2, 180 / np.pi), (SLIDING, 1, 1e3)):
         table = pd.read_csv(tmp_path / "t" / "tables.csv").query("joint == @joint")
         rising, falling, at = (table[name].to_numpy() * scale for name in ("rising", "falling", "reading"))

@@ -25,7 +25,7 @@ from aridcal.jobs.export.sdf_file import sdf
 from aridcal.jobs.export.xacro_file import xacro
 from aridcal.runs.model_export import MARK, alone, c_names, check_own, loaded, write_c
 from aridcal.system.errors import OutputError, shortened
-from aridcal.system.reading.regular_files import SETTINGS, read_file
+from aridcal.system.reading.regular_files import SETTINGS, TABLE, read_file
 from aridcal.system.wording import counted
 from aridcal.system.writing.apart import check_apart
 from aridcal.system.writing.table_writer import write_csv
@@ -40,8 +40,8 @@ DIGITS = 17
 MOST_DRAWS = 100_000
 """Work: files in one folder, 1 GB of an arm's."""
 
-TABLES, ABOUT_TABLES, OF_TABLES = "tables.csv", "tables.txt", re.compile(r"\.comp$|_eec\.ini$|_com\.csv$")
-"""What a folder of compensation tables holds."""
+TABLES, ABOUT_TABLES, OF_TABLES = "tables.csv", "tables.txt", (".comp", "_eec.ini", "_com.csv")
+"""What a folder of compensation tables holds, and what the files of each joint end in."""
 
 
 def export_mjcf(calibration: Path, file: Path) -> list[str]:
@@ -215,9 +215,13 @@ def _tables_in(folder: Path) -> list[str]:
     if not (folder / TABLES).exists() and not (folder / ABOUT_TABLES).exists():
         return []
     check_own([folder / ABOUT_TABLES])
-    if not (folder / ABOUT_TABLES).exists():
-        raise OutputError(f"{folder}: has {TABLES}, and no {ABOUT_TABLES}: not of an export; give another folder")
-    return [path.name for path in folder.iterdir() if OF_TABLES.search(path.name)]
+    if not ((folder / ABOUT_TABLES).exists() and (folder / TABLES).exists()):
+        raise OutputError(f"{folder}: has one of {TABLES} and {ABOUT_TABLES}: not of an export; give another folder")
+    lines = read_file(folder / TABLES, OutputError, TABLE).decode("utf-8", "replace").splitlines()
+    joints = {
+        identifier(line.rpartition(",")[0].rpartition(",")[0].rpartition(",")[0].strip('"')) for line in lines[1:]
+    }
+    return [f"{joint}{ending}" for joint in sorted(joints) for ending in OF_TABLES]
 
 
 def _steps(grid: str) -> dict[str, float | None]:

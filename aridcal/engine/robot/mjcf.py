@@ -56,9 +56,11 @@ SECTIONS = frozenset(
 """Of the file: move no body by themselves."""
 
 FAR = 1e3
-"""[m] or [rad]: a limit for what slides and has none, since a URDF must state one; no robot reaches it."""
+"""[m]: a limit for what slides and has none, since a URDF must state one; no robot reaches it."""
 
-INCLUDED = "what it brings may move joints: name the file that holds the arm itself, or let MuJoCo save all as one file (mj_saveLastXML)"
+INCLUDED = (
+    "what it brings may move joints: name the file of the arm itself, or let MuJoCo save all as one (mj_saveLastXML)"
+)
 """What is said of `<include>`."""
 
 LEAST_AXIS = 1e-9

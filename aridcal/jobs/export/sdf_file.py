@@ -53,8 +53,9 @@ def sdf(tree: CalibratedTree, about: Iterable[str]) -> tuple[str, list[str]]:
         if step.child == WORLD:
             raise OutputError(f"link {WORLD!r} is not the root, and SDF has no other of that name: rename it")
         _joint(model, step)
-        if step.drive is not None and len(step.drive.factors) > 1:
-            remarks.append(f"joint {step.name} follows several others, which SDF cannot say: set it yourself")
+        if step.drive is not None and len(step.drive.factors) != 1:
+            does = "follows several others" if step.drive.factors else f"stands at {step.drive.offset:.6g}"
+            remarks.append(f"joint {step.name} {does}, which SDF cannot say: set it yourself")
         _link(model, tree, step.child, step.name)
     etree.indent(file)
     return etree.tostring(file, encoding="unicode") + "\n", [*remarks, *tree.remarks]
