@@ -16,7 +16,7 @@ COMMANDS = {
     "identify": "calibrate: from a campaign to a calibrated URDF, a report and a 3D scene",
     "predict": "poses of the real target for rows of joint readings",
     "compensate": "joint commands that bring the real target to wanted poses",
-    "export": "the whole model as code for the robot's own loop: C, NumPy, CasADi",
+    "export": "the model for whoever runs it: C, NumPy, CasADi, ROS 2, MuJoCo, Gazebo, tables",
     "guide": "be led while measuring: is the row good, which pose is next, when is it enough",
     "design": "configurations to measure next, and how well the target is known then",
     "check": "is a calibration still good, from a few new rows, and if not, what moved",

@@ -25,6 +25,9 @@ PIPED = 200
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT})
 INTERRUPTED, TERMINATED = SIGNALLED + signal.SIGINT, SIGNALLED + signal.SIGTERM
 
+SEED_DIGITS = 18
+"""Of a seed: 64 bits hold any number of so many."""
+
 
 def run(body: Callable[[], int | None]) -> int:
     """Do a command's work, and turn errors into a message and an exit status.
@@ -114,6 +117,13 @@ def command(
         return run(lambda: work(arguments))
 
     return main
+
+
+def seed_argument(text: str) -> int:
+    """A seed of the command line: whole, and not below zero."""
+    if not text.isdecimal() or len(text) > SEED_DIGITS:
+        raise argparse.ArgumentTypeError(f"should be a whole number from 0 on, not {shortened(text)!r}")
+    return int(text)
 
 
 def for_scripts(command: CommandParser, headline: bool = False) -> None:

@@ -40,6 +40,7 @@ from aridcal.command_line import (
     for_scripts,
     print_headline,
     screens,
+    seed_argument,
 )
 from aridcal.files.campaign import load_campaign
 from aridcal.files.measurement_settings import length_argument
@@ -61,8 +62,6 @@ if TYPE_CHECKING:
     from aridcal.jobs.calibrate.outcome import Outcome, Verification
 
 MOST_NOTICES = 8
-
-SEED_DIGITS = 18
 
 SHOWN_STATISTICS = ("rms", "p95", "max")
 """Statistics of an error on the screen; of all channels but the first only two, so that the table keeps its width."""
@@ -175,13 +174,6 @@ def _verification_lines(v: Verification) -> list[str]:
     return lines
 
 
-def _seed(text: str) -> int:
-    """A seed of the command line: whole, and not below zero."""
-    if not text.isdecimal() or len(text) > SEED_DIGITS:
-        raise argparse.ArgumentTypeError(f"should be a whole number from 0 on, not {shortened(text)!r}")
-    return int(text)
-
-
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("identify", __doc__)
@@ -201,7 +193,7 @@ def parser() -> CommandParser:
     )
     arguments.add_argument(
         "--seed",
-        type=_seed,
+        type=seed_argument,
         default=0,
         help="seed of the random split into fitted and held-out rows, where the table has no column `split`",
     )

@@ -12,11 +12,13 @@ from typing import Literal
 from unittest.mock import patch
 
 import numpy as np
+import pinocchio as pin
 
 from aridcal.engine.robot import expand
-from aridcal.engine.robot.chain import Robot, chain, load_robot
+from aridcal.engine.robot.chain import Robot, chain, load_robot, parse_robot
 from aridcal.engine.robot.doty import doty_links
 from aridcal.engine.robot.splice import splice_origins
+from aridcal.engine.robot.splice_mjcf import check_written_back, splice_mjcf
 from aridcal.engine.robot.tree import read_tree
 from aridcal.files.campaign import ArmSettings, Campaign, load_campaign
 from aridcal.files.formats.sniffing import look
@@ -65,6 +67,14 @@ def _urdf(path: Path) -> None:
     doty_links(robot)
     if np.isfinite(robot.mass_beyond).all():
         splice_origins(robot.urdf, {name: (np.ones(3), np.zeros(3)) for name in robot.names})
+
+
+def _mjcf(path: Path) -> None:
+    content = read_file(path, RobotError, URDF)
+    robot = parse_robot(content, "tip", "base", path)
+    check_written_back(robot)
+    if robot.mjcf is not None:
+        splice_mjcf(robot, {name: pin.SE3(pin.exp3(np.ones(3)), np.ones(3)) for name in robot.names})
 
 
 def _xacro(path: Path) -> None:
@@ -180,6 +190,7 @@ def _dialect(path: Path) -> None:
 
 TARGETS = {
     "urdf": Target(_urdf, ".urdf"),
+    "mjcf": Target(_mjcf, ".xml"),
     "xacro": Target(_xacro, ".xacro", 2000, "process"),
     "campaign": Target(load_campaign, ".yaml"),
     "scenario": Target(_scenario, ".yaml"),

@@ -28,6 +28,7 @@ from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.engine.robot.chain import Robot, load_robot, with_limbs
 from aridcal.engine.robot.drive import StatedJoints
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, bears
+from aridcal.engine.robot.splice_mjcf import check_written_back
 from aridcal.files.counting import check_joints, check_on_chain
 from aridcal.files.instrument_settings import InstrumentSettings, Placement, TargetSettings
 from aridcal.files.measurement_settings import MeasurementSettings, Names, listed, one_of
@@ -77,7 +78,7 @@ class ArmSettings(Section):
     """Which chain of which URDF or xacro file."""
 
     urdf: RelativePath
-    """Nominal model: a URDF, or a xacro file (`pip install "aridcal[xacro]"`)."""
+    """Nominal model: a URDF, a xacro file (`pip install "aridcal[xacro]"`), or MJCF, which may be called `mjcf`."""
     base: str | None = None
     """Link where the chain starts, any of the tree; default: the URDF's root. Where the base itself tilts, one below
     the joint that tilts it."""
@@ -98,6 +99,15 @@ class ArmSettings(Section):
     stands under both, or follows itself. One that is followed and is on no path needs a column all the same; one that
     follows others itself is replaced by them. The joint's own `<limit>` is not looked at; a zero that is not 0 is a
     constant, and is identified. Robot programs of such an arm are refused."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _mjcf_is_a_description(cls, keys: Any) -> Any:
+        if not isinstance(keys, dict) or "mjcf" not in keys:
+            return keys
+        if "urdf" in keys:
+            raise ValueError("has `urdf` and `mjcf`: write one")
+        return {("urdf" if key == "mjcf" else key): value for key, value in keys.items()}
 
     @property
     def stated(self) -> StatedJoints:
@@ -511,6 +521,7 @@ def nominal_robot(job: JobSettings) -> Robot:
         _check_link(link, robot, f"{job.path}: {key}", "tip, world or a link")
     if job.links:
         robot = with_limbs(robot, tuple(job.links))
+    check_written_back(robot)
     for number, payload in enumerate(job.payload):
         key = f"{job.path}: {job.payload_key(number)}.on"
         _check_link(payload.on, robot, key, "a link")

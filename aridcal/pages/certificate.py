@@ -364,7 +364,10 @@ def _hashes(outcome: Outcome, folder: Path) -> Iterator[tuple[str, str]]:
     campaign, m = outcome.campaign, outcome.measurements
     yield printable_name(campaign.path.name), sha256(_as_read(campaign.path, campaign.text))
     source, plain = campaign.robot.urdf.name, outcome.robot.path.name
-    yield printable_name(plain if source == plain else f"{source}, expanded"), sha256(outcome.robot.urdf)
+    yield (
+        printable_name(plain if source == plain else f"{source}, expanded"),
+        sha256(outcome.robot.mjcf or outcome.robot.urdf),
+    )
     if m.origin.sha256:
         files = [path.name for path in m.origin.files]
         one = printable_name(files[0]) if len(files) == 1 else f"{len(files)} files of measurements: {', '.join(files)}"

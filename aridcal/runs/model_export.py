@@ -47,25 +47,35 @@ def export_c(calibration: Path, folder: Path, name: str | None) -> tuple[Machine
         raise OutputError(
             f"--name {shortened(name)}: is no name in C: use letters, digits and _, and begin with a letter"
         )
-    names = [f"{name}.h", f"{name}.c", f"{name}_test.c", "CMakeLists.txt"]
+    names = c_names(name)
     paths = [folder / each for each in names]
     check_apart(paths, [calibration])
     with claimed(folder, "folder", names):
-        _check_own(paths)
-        saved, digest = _loaded(calibration)
+        check_own(paths)
+        saved, digest = loaded(calibration)
         described = machine(saved)
-        files = c_files(described, name, digest, _about(saved, described, name), predicted_rows(saved, described, ROWS))
         with atomic_folder(folder) as stage:
-            for file, text in files.items():
-                (stage / file).write_text(text, encoding="utf-8")
+            write_c(stage, saved, described, name, digest)
     return described, name
+
+
+def c_names(name: str) -> list[str]:
+    """Files of the export as C."""
+    return [f"{name}.h", f"{name}.c", f"{name}_test.c", "CMakeLists.txt"]
+
+
+def write_c(folder: Path, saved: SavedModel, described: Machine, name: str, digest: str) -> None:
+    """Write the export as C into a folder that is being made."""
+    rows = predicted_rows(saved, described, ROWS)
+    for file, text in c_files(described, name, digest, _about(saved, described, name), rows).items():
+        (folder / file).write_text(text, encoding="utf-8")
 
 
 def export_numpy(calibration: Path, file: Path) -> Machine:
     """Write the model as a Python module that needs NumPy alone."""
-    with _alone(calibration, file):
-        _check_own([file])
-        saved, digest = _loaded(calibration)
+    with alone(calibration, file):
+        check_own([file])
+        saved, digest = loaded(calibration)
         described = machine(saved)
         with atomic_file(file) as path:
             path.write_text(numpy_module(described, digest, _about(saved, described, file.stem)), encoding="utf-8")
@@ -74,29 +84,29 @@ def export_numpy(calibration: Path, file: Path) -> Machine:
 
 def export_casadi(calibration: Path, file: Path) -> Machine:
     """Write the model as a function that CasADi loads, in any of its languages."""
-    with _alone(calibration, file):
+    with alone(calibration, file):
         if file.exists() and not is_function(file):
             raise _not_ours(file)
-        described = machine(_loaded(calibration)[0])
+        described = machine(loaded(calibration)[0])
         function = casadi_function(described)
         with atomic_file(file) as path:
             function.save(str(path))
     return described
 
 
-def _alone(calibration: Path, file: Path) -> AbstractContextManager[None]:
+def alone(calibration: Path, file: Path) -> AbstractContextManager[None]:
     """Take a file for this process."""
     check_apart([file], [calibration])
     return claimed(file, "file")
 
 
-def _loaded(calibration: Path) -> tuple[SavedModel, str]:
+def loaded(calibration: Path) -> tuple[SavedModel, str]:
     """A calibration, and the sha256 of its file."""
     path = calibration_file(calibration)
     return SavedModel.load(path), hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _check_own(paths: Iterable[Path]) -> None:
+def check_own(paths: Iterable[Path]) -> None:
     """Refuse to replace what no export wrote.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Any
 from aridcal.files.tables import AnyTable
 from aridcal.jobs.calibrate.controllers import controller_exports, write_controllers
 from aridcal.jobs.calibrate.saved_model import SavedModel
-from aridcal.jobs.calibrate.urdf_files import write_urdf
+from aridcal.jobs.calibrate.urdf_files import write_calibrated, write_urdf
 from aridcal.jobs.maintain.answers import check_lines, repair_error_line
 from aridcal.jobs.maintain.checking import CheckResult, check
 from aridcal.jobs.maintain.documents import document, figures_before, lineage, residuals
@@ -78,7 +78,7 @@ def _write(
     saved = replace(repair.saved, record=repair.saved.record | {"lineage": parents})
     with atomic_folder(out, RESULT_FILES | RESULT_FOLDERS) as stage:
         (stage / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
-        read = write_urdf(stage / "calibrated.urdf", saved.geometric.model, saved.geometric.theta)
+        read = write_calibrated(stage, saved.geometric.model, saved.geometric.theta)
         if any(not c.basis.always for c in saved.final.model.coefficients):
             write_urdf(stage / "model.urdf", saved.final.model, saved.final.theta)
         figures_now = document(outcomes, checked, repair, parents, figures)

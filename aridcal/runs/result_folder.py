@@ -18,7 +18,15 @@ if TYPE_CHECKING:
 
 RESULT_FILES = frozenset(
     {
-        *("result.json", "calibration.yaml", "calibrated.urdf", "model.urdf", "residuals.csv", "fiducials.csv"),
+        *(
+            "result.json",
+            "calibration.yaml",
+            "calibrated.urdf",
+            "calibrated.xml",
+            "model.urdf",
+            "residuals.csv",
+            "fiducials.csv",
+        ),
         *("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"),
         *("joint_maps.urdf", "joint_maps.csv", "report.html", "scene.html", "fleet.json"),
         *("certificate.html", "certificate.pdf"),

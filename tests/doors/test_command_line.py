@@ -268,6 +268,7 @@ def test_o_and_out_mean_the_same(command):
     assert len(named) == (
         command
         in {
+            "export",
             "identify",
             "init",
             "measure",

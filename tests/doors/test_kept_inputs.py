@@ -78,6 +78,8 @@ FILES: dict[str, tuple[str, list[str]]] = {
     "detect of joints": ("j.csv", ["detect", ".", "--joints", "{file}", "-o", "{out}"]),
     "detect of a camera": ("camera.csv", ["detect", ".", "--intrinsics", "{file}", "-o", "{out}"]),
     "check of rows": ("rows.csv", ["check", "results", "{file}", "--poses", "{out}"]),
+    "export to NumPy": ("c.py", ["export", "{file}", "--numpy", "{out}"]),
+    "export to MuJoCo": ("c.xml", ["export", "{file}", "--mjcf", "{out}"]),
     "check of a calibration": ("c.csv", ["check", "{file}", "rows.csv", "--poses", "{out}"]),
 }
 
@@ -114,6 +116,10 @@ BESIDE: dict[str, tuple[str, list[str]]] = {
     "fleet": ("fleet.html", ["fleet", "{file}", "-o", "{folder}"]),
     "study": ("study.parquet", ["study", "{file}", "-o", "{folder}"]),
     "simulate": ("campaign.yaml", ["simulate", "{file}", "-o", "{folder}"]),
+    "export as C": ("out.c", ["export", "{file}", "--c", "{folder}"]),
+    "export to ROS 2": ("calibrated.urdf", ["export", "{file}", "--ros2", "{folder}"]),
+    "export of draws": ("frames.csv", ["export", "{file}", "--randomize", "2", "-o", "{folder}"]),
+    "export of tables": ("tables.csv", ["export", "{file}", "--table", "1deg", "-o", "{folder}"]),
     "recalibrate of rows": ("residuals.csv", ["recalibrate", "results", "{file}", "-o", "{folder}"]),
     "recalibrate of a calibration": ("calibration.yaml", ["recalibrate", "{file}", "rows.csv", "-o", "{folder}"]),
 }

@@ -266,7 +266,7 @@ URDFS: dict[str, tuple[Spoil, str]] = {
     ),
     "no robot": (put("robot.urdf", "<rob/>"), "the top element is <rob>, not <robot>"),
     "SDF": (put("robot.urdf", "<sdf/>"), "is SDF, Gazebo's format"),
-    "MJCF": (put("robot.urdf", "<mujoco/>"), "is MJCF, MuJoCo's format"),
+    "MJCF": (put("robot.urdf", "<mujoco/>"), "no link 'flange'"),
     "a top element of 5,000 letters": (put("robot.urdf", f"<{LONG}/>"), "the top element is <a+…>"),
     "no links": (urdf(""), "no link 'flange'"),
     "an unknown encoding": (

@@ -18,6 +18,7 @@ from lxml import etree
 
 from aridcal.engine.robot.drive import NO_STATEMENTS, Drive, StatedJoints
 from aridcal.engine.robot.expand import plain_name, read_urdf
+from aridcal.engine.robot.mjcf import as_urdf, is_mjcf
 from aridcal.engine.robot.tree import LARGEST_IN_URDF, UrdfTree, numbers, parse_xml, read_tree
 from aridcal.system.errors import RobotError, nearest, shortened
 from aridcal.system.reading.regular_files import URDF, Limit
@@ -110,6 +111,7 @@ class Robot:
         stated: What the user says of joints that have no column.
         fixed: Fixed joints before each moving joint, and behind the last, shape (joints + 1,).
         others: Chains from the base to further links that rows refer to; none of a robot of one limb.
+        mjcf: The file's own bytes where it is MJCF; ``urdf`` is then what was made of it.
     """
 
     urdf: bytes
@@ -127,6 +129,7 @@ class Robot:
     stated: StatedJoints = NO_STATEMENTS
     fixed: tuple[tuple[FixedJoint, ...], ...] = ()
     others: tuple[Robot, ...] = ()
+    mjcf: bytes | None = field(default=None, repr=False)
 
     @cached_property
     def main(self) -> Robot:
@@ -143,7 +146,7 @@ class Robot:
         pair = start or self.base, end or self.tip
         if pair not in self._paths:
             path = chain(read_tree(self.urdf, self.path, self.stated), pair[1], pair[0], still=True)
-            self._paths[pair] = replace(path, packages=self.packages, stated=self.stated)
+            self._paths[pair] = replace(path, packages=self.packages, stated=self.stated, mjcf=self.mjcf)
         return self._paths[pair]
 
     def columns_of(self, limb: Robot) -> list[int]:
@@ -287,7 +290,7 @@ def load_robot(
     """Read the chain base -> tip of a URDF file.
 
     Args:
-        path: URDF file, any encoding that its XML declaration states, or a xacro file.
+        path: URDF file, any encoding that its XML declaration states, or a xacro file, or MJCF.
         tip: Link at the end of the chain.
         base: Link at its start; default: the root link.
         limit: How large the file may be.
@@ -313,8 +316,10 @@ def parse_robot(
     packages: Mapping[str, Path] | None = None,
     stated: StatedJoints = NO_STATEMENTS,
 ) -> Robot:
-    """Read the chain base -> tip from a URDF's bytes; see :func:`load_robot`."""
-    return replace(chain(read_tree(urdf, path, stated), tip, base), packages=packages or {}, stated=stated)
+    """Read the chain base -> tip from a URDF's bytes, or a MJCF's; see :func:`load_robot`."""
+    mjcf = urdf if is_mjcf(urdf) else None
+    robot = chain(read_tree(as_urdf(urdf, path), path, stated), tip, base)
+    return replace(robot, packages=packages or {}, stated=stated, mjcf=mjcf)
 
 
 def chain_in_urdf(robot: Robot, urdf: bytes) -> Robot:

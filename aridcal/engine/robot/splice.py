@@ -10,6 +10,7 @@ from xml.parsers import expat
 import numpy as np
 import pinocchio as pin
 
+from aridcal.engine.robot.start_tags import codec_of, with_attribute
 from aridcal.system.errors import RobotError, nearest
 
 # Numbers of an origin that differ by less are the same, [m] or [rad]: some products of matrices round by that much.
@@ -17,7 +18,6 @@ ROTATION_ROUNDING = 1e-14
 # A cosine of the pitch below this is rounding alone: roll and yaw turn about one axis, and only their sum is known.
 LEAST_PITCH_COSINE = 1e-13
 
-_ATTRIBUTE = re.compile(r"""\s+(?P<key>[^\s=]+)\s*=\s*(?P<quoted>"[^"]*"|'[^']*')""", re.ASCII)
 _LINE_START = re.compile(r"(\r\n|\n|\r)[ \t]*\Z")
 
 
@@ -142,7 +142,7 @@ class _Scan:
 
     def __init__(self, urdf: bytes, names: Collection[str]) -> None:
         self.urdf = urdf
-        self.codec = _codec(urdf)
+        self.codec = codec_of(urdf)
         self.joints: dict[str, _Joint] = {}
         self.rest: list[tuple[str, object]] = []
         self._names = names
@@ -219,15 +219,6 @@ class _Scan:
         self.rest.append(("other", markup))
 
 
-def _codec(urdf: bytes) -> str:
-    """Codec in which markup can be read and written: all but UTF-16 agree on ASCII, and the rest may stay bytes."""
-    if urdf[:2] == b"\xff\xfe" or urdf[1:2] == b"\0":
-        return "utf-16-le"
-    if urdf[:2] == b"\xfe\xff" or urdf[:1] == b"\0":
-        return "utf-16-be"
-    return "latin-1"
-
-
 def _edits(scan: _Scan, name: str, vectors: tuple[np.ndarray, np.ndarray]) -> Iterator[tuple[int, int, str]]:
     """Yield (first byte, byte after the last, new text) of what changes for one joint."""
     joint = scan.joints.get(name)
@@ -250,19 +241,8 @@ def _edits(scan: _Scan, name: str, vectors: tuple[np.ndarray, np.ndarray]) -> It
         tag = "<origin/>" + scan.indent(joint)
     quote = '"' if '"' in scan.text(joint.start, joint.first_child).partition("'")[0] else "'"
     for key, value in new.items():
-        tag = _with_attribute(tag, key, value, quote)
+        tag = with_attribute(tag, key, key, value, quote)
     yield start, stop, tag
-
-
-def _with_attribute(tag: str, key: str, value: str, quote: str) -> str:
-    """Replace the value of an attribute in a text that begins with an ``<origin>`` tag, or add it after the others."""
-    end = len("<origin")
-    while match := _ATTRIBUTE.match(tag, end):
-        end = match.end()
-        if match["key"] == key:
-            start, stop = match.span("quoted")
-            return tag[: start + 1] + value + tag[stop - 1 :]
-    return f"{tag[:end]} {key}={quote}{value}{quote}{tag[end:]}"
 
 
 def _reads_as(origin: Mapping[str, str], key: str, vector: np.ndarray) -> bool:

@@ -35,8 +35,6 @@ LARGEST_IN_URDF = 1e9
 
 
 OTHER_FORMATS = {
-    "mujoco": "MJCF, MuJoCo's format, which aridcal does not read. Name the URDF that the model was made from; if there is "
-    "none, mjcf-urdf-simple-converter (PyPI) makes one: compare its poses with MuJoCo's before you use it",
     "sdf": "SDF, Gazebo's format, which aridcal does not read. Name the URDF that the model was made from; if there is none, "
     "`sdf2urdf` of sdformat_tools makes one: compare its poses with Gazebo's before you use it",
 }
@@ -88,7 +86,7 @@ def read_tree(urdf: bytes, path: Path, stated: StatedJoints = NO_STATEMENTS) -> 
             for key in element.keys():  # noqa: SIM118
                 numbers(element, str(key), "", 1, path)
         for origin in inertial.iter("origin"):
-            _placement(origin, path)
+            placement_of(origin, path)
     for origin in (*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")):
         if origin.get("quat_xyzw") is not None:  # Pinocchio and yourdfpy pass over it, and see no rotation at all
             raise RobotError(
@@ -250,10 +248,11 @@ def _link(element: etree._Element, role: str, links: Mapping[str, None], path: P
 
 def _origin(element: etree._Element, path: Path) -> pin.SE3:
     origin = element.find("origin")
-    return pin.SE3.Identity() if origin is None else _placement(origin, path)
+    return pin.SE3.Identity() if origin is None else placement_of(origin, path)
 
 
-def _placement(origin: etree._Element, path: Path) -> pin.SE3:
+def placement_of(origin: etree._Element, path: Path) -> pin.SE3:
+    """What an ``<origin>`` says."""
     rpy = numbers(origin, "rpy", "0 0 0", 3, path)
     return pin.SE3(pin.rpy.rpyToMatrix(rpy), numbers(origin, "xyz", "0 0 0", 3, path))
 

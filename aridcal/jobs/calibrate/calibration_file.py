@@ -48,6 +48,8 @@ class RobotPart(Section):
     targets: dict[str, str] = Field(default_factory=dict)
     """Links that carry targets, by the targets' labels."""
     urdf: str
+    mjcf: str | None = None
+    """The user's own file, where that is MJCF, in the encoding of the URDF."""
 
     @property
     def content(self) -> bytes:

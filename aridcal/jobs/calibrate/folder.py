@@ -29,7 +29,7 @@ from aridcal.engine.trust.second_look_document import document
 from aridcal.jobs.calibrate.measuring_head import MeasuringHead
 from aridcal.jobs.calibrate.outcome import Outcome, Stage, Verification, errors
 from aridcal.jobs.calibrate.saving import calibration
-from aridcal.jobs.calibrate.urdf_files import write_urdf
+from aridcal.jobs.calibrate.urdf_files import write_calibrated, write_urdf
 from aridcal.system.progress import SILENT, Progress
 from aridcal.system.reading.memory_release import give_back
 from aridcal.system.writing.table_writer import csv_lines
@@ -54,11 +54,10 @@ def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -
     """
     (folder / "result.json").write_text(json.dumps(result_document(outcome), indent=2, allow_nan=False) + "\n")
     give_back()  # memory of the figures: the scatter over all rows below needs as much again
-    stages = {"calibrated.urdf": "geometric", **({"model.urdf": "final"} if outcome.effects else {})}
-    notices: list[str] = []
-    for name, stage in stages.items():
-        fit = outcome.stage(stage).fit
-        notices += write_urdf(folder / name, fit.model, fit.theta)
+    geometric, final = outcome.stage("geometric").fit, outcome.stage("final").fit
+    notices = list(write_calibrated(folder, geometric.model, geometric.theta))
+    if outcome.effects:
+        notices += write_urdf(folder / "model.urdf", final.model, final.theta)
     (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
     order = outcome.measurements.as_read
     with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:

@@ -413,7 +413,7 @@ class SavedModel:
     def dump(self) -> str:
         """The file's text."""
         robot = self.final.model.robot
-        encoding = _encoding(robot.urdf)
+        encoding = _encoding(robot.urdf + (robot.mjcf or b""))
         document = {
             "format": 1,
             "aridcal": __version__,
@@ -429,6 +429,7 @@ class SavedModel:
                 **({"coupled": _plain(robot.stated.coupled)} if robot.stated.coupled else {}),
                 **(_paths_document(self.final.model) if robot.others else {}),
                 "urdf": _Block(robot.urdf.decode(encoding)),
+                **({} if robot.mjcf is None else {"mjcf": _Block(robot.mjcf.decode(encoding))}),
             },
             "noise": {"position": self.noise[0], "rotation": self.noise[1]},
             "ranges": {name: list(pair) for name, pair in self.ranges.items()},
@@ -512,6 +513,7 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
     about = document.robot
     without_column = StatedJoints(about.joints, about.coupled)
     robot = parse_robot(about.content, about.tip, about.base, Path(about.urdf_name), stated=without_column)
+    robot = replace(robot, mjcf=about.mjcf.encode(about.urdf_encoding)) if about.mjcf is not None else robot
     robot = with_limbs(robot, about.limbs) if about.limbs else robot
     paths: dict[str, Any] = {"routes": tuple(Route(*ends) for ends in about.routes), "target_on": about.targets}
     middle = {name: (low + high) / 2 for name, (low, high) in document.ranges.items()}

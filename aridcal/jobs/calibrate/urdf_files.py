@@ -11,6 +11,7 @@ import pinocchio as pin
 from aridcal.engine.corrections.effect import MOUNTING_FRAMES
 from aridcal.engine.fit.constants import is_zero, origins_of, urdf_of
 from aridcal.engine.model.model import Model
+from aridcal.engine.robot.mjcf import compiled
 from aridcal.engine.robot.read_back import (
     COMPARED_CONFIGURATIONS,
     READ_BACK_TOLERANCE,
@@ -19,6 +20,7 @@ from aridcal.engine.robot.read_back import (
     link_places,
     read_back,
 )
+from aridcal.engine.robot.splice_mjcf import splice_mjcf
 from aridcal.engine.robot.tree import read_tree
 
 
@@ -42,6 +44,16 @@ def write_urdf(file: Path, model: Model, theta: np.ndarray) -> tuple[str, ...]:
     _check_tips(file.name, model, theta, origins)
     file.write_bytes(urdf)
     return notices
+
+
+def write_calibrated(folder: Path, model: Model, theta: np.ndarray) -> tuple[str, ...]:
+    """Write `calibrated.urdf`, and `calibrated.xml` of a robot that was read from MJCF; see :func:`write_urdf`."""
+    notices = write_urdf(folder / "calibrated.urdf", model, theta)
+    robot = model.robot
+    if robot.mjcf is None:
+        return notices
+    (folder / "calibrated.xml").write_bytes(splice_mjcf(robot, origins_of(model, theta)))
+    return (*notices, *(f"{robot.path.name}: {remark}" for remark in compiled(robot.mjcf, robot.path).remarks))
 
 
 def _check_tips(file: str, model: Model, theta: np.ndarray, origins: Mapping[str, pin.SE3]) -> None:

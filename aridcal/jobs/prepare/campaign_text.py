@@ -15,6 +15,7 @@ import yaml
 
 from aridcal.engine.robot.described_robots import RobotDescription, robot_description
 from aridcal.engine.robot.expand import plain_name, read_urdf
+from aridcal.engine.robot.mjcf import as_urdf
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
 from aridcal.files.read import load_measurements
@@ -80,7 +81,7 @@ def draft(
     asker = Chooser(choose, settled or {})
     asker.check(QUESTIONS)
     source = robot_description(urdf, packages or {}, arguments or {})
-    content = read_urdf(source.path, URDF, source.packages, source.arguments)
+    content = as_urdf(read_urdf(source.path, URDF, source.packages, source.arguments), source.path)
 
     def proposed(dialect: Dialect, asker: Chooser) -> Proposal:
         table = read_tables(tables, None, dialect=dialect)

@@ -296,7 +296,7 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
     else:
         keys["robot"].pop("arguments", None)  # they are in the URDF that is written
         keys["robot"]["urdf"] = robot.path.name
-        (folder / robot.path.name).write_bytes(robot.urdf)
+        (folder / robot.path.name).write_bytes(robot.urdf if robot.mjcf is None else robot.mjcf)
     for name, place in scenario.robot.packages.items():
         keys["robot"]["packages"][name] = Path(os.path.relpath(place, home)).as_posix()
     instruments, entry = scenario.instruments, keys.get("instruments", {})

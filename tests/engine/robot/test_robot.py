@@ -303,7 +303,6 @@ ERRORS = [
     (broken('<?xml version="1.0"?>', '<?xml version="1.0" encoding="nonsense"?>'), "hand", None, "robot.urdf"),
     (broken('name="column"', 'name="\u00e4"').decode().encode("latin-1"), "hand", None, "not well-formed"),
     (b"<sdf><model/></sdf>", "hand", None, "is SDF, Gazebo's format, .*Name the URDF"),
-    (b"<mujoco><worldbody/></mujoco>", "hand", None, "is MJCF, MuJoCo's format, .*Name the URDF"),
     (b"<html><body/></html>", "hand", None, "<html>, not <robot>"),
     (broken("</robot>", '<x:macro xmlns:x="http://www.ros.org/wiki/xacro"/></robot>'), "hand", None, "run xacro first"),
     (COLUMN, "hnd", None, "did you mean 'hand'"),
