@@ -12,7 +12,7 @@ port.
 
 Example:
     aridcal guide campaign.yaml --tolerance 0.2mm
-    my_driver | aridcal guide campaign.yaml --json
+    aridcal guide campaign.yaml --json < rows_of_my_driver
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from rich.text import Text
 from aridcal.command_line import CommandParser, command, command_parser
 from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.files.measurement_settings import length_argument
+from aridcal.jobs.fleet.keys import files_of
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead
 from aridcal.jobs.guide.session import Session, session
 from aridcal.runs.guide_server import Board, GuideServer
@@ -37,6 +38,7 @@ from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS
 from aridcal.system.errors import AridcalError
 from aridcal.system.progress import Screen, console_progress
 from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import claimed
 
 LAST_LOOK = 1.0
@@ -54,6 +56,7 @@ def parser() -> CommandParser:
         help="when it is enough: 0.2mm for instance (default: the campaign's `tolerance`, else when more rows gain nothing)",
     )
     arguments.add_argument(
+        "-o",
         "--out",
         type=path_argument,
         metavar="DIR",
@@ -73,12 +76,21 @@ def _main(arguments: argparse.Namespace) -> None:
     tolerance = arguments.tolerance or (campaign.tolerance.position if campaign.tolerance else None)
     if arguments.tolerance is not None:
         campaign = campaign.with_tolerance(arguments.tolerance)
-    now = session(campaign, nominal_robot(campaign), tolerance)
+    out: Path = arguments.out or arguments.campaign.parent / "results"
+    # Before half a day of measuring, not after it.
+    check_apart((out / name for name in RESULT_FILES), (campaign.path, *(file for _, file in files_of(campaign))))
+    with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS):
+        _lead(arguments, session(campaign, nominal_robot(campaign), tolerance), out)
+
+
+def _lead(arguments: argparse.Namespace, now: Session, out: Path) -> None:
+    """Follow the table to the end, then make the report."""
+    campaign = now.campaign
     incoming = Incoming()
     incoming.listen(sys.stdin)
     screen, aside = Screen(), Screen(stderr=True)
     (table,) = campaign.measurements.files
-    board = Board(campaign.path.parent.resolve().name, tolerance, str(table), now.units)
+    board = Board(campaign.path.parent.resolve().name, now.tolerance, str(table), now.units)
     board.note([])
     if arguments.page:
         server = GuideServer(board, incoming)
@@ -93,7 +105,7 @@ def _main(arguments: argparse.Namespace) -> None:
                 print(json.dumps(event.document(), allow_nan=False), flush=True)
             else:
                 screen.print(in_words(event), soft_wrap=True)
-    report = _finish(arguments, now, aside)
+    report = _finish(now, out, aside)
     if arguments.page:
         board.note([], report)
         time.sleep(LAST_LOOK)
@@ -124,13 +136,12 @@ def in_words(event: Event) -> Text:
     return Text("\n".join(lines))
 
 
-def _finish(arguments: argparse.Namespace, now: Session, aside: Screen) -> str:
+def _finish(now: Session, out: Path, aside: Screen) -> str:
     """The full search and its report; returns where that is, or why there is none."""
-    out: Path = arguments.out or arguments.campaign.parent / "results"
     if now.posterior is None:
         words = "no report: too few rows to calibrate from"
     else:
-        with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS), console_progress(aside) as progress:
+        with console_progress(aside) as progress:
             try:
                 calibrated(now, out, progress)
                 words = f"report: {out / 'report.html'}"

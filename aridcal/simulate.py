@@ -1,12 +1,12 @@
 """Simulate a campaign with a known truth: from a scenario to measurements of an imperfect robot, and its true parameters.
 
 docs/simulate.md lists what `truth.effects` of a scenario may hold. With --live the campaign has no table yet: arm and tracker
-measure the poses that `aridcal guide --json` asks for on standard input, and append a row for each.
+measure the poses that `aridcal guide --json` asks for on standard input, and append a row for each:
+`aridcal guide DIR/campaign.yaml --json | aridcal simulate scenario.yaml -o DIR --live`.
 
 Example:
     aridcal simulate identification/arid/scenario.yaml -o /tmp/arid
     aridcal simulate identification/arid/scenario.yaml -o /tmp/cell --live
-    aridcal guide /tmp/cell/campaign.yaml --json | aridcal simulate identification/arid/scenario.yaml -o /tmp/cell --live
 """
 
 from __future__ import annotations

@@ -269,6 +269,7 @@ def test_o_and_out_mean_the_same(command):
         command
         in {
             "export",
+            "guide",
             "identify",
             "init",
             "measure",

@@ -140,7 +140,7 @@ def test_what_is_written_beside_or_into_a_folder_replaces_nothing_that_is_read(
 
 @pytest.mark.parametrize("naming", NAMINGS)
 @pytest.mark.parametrize(("key", "name"), [("urdf", "calibrated.urdf"), ("file", "residuals.csv"), ("", "report.html")])
-def test_identify_and_design_replace_nothing_that_the_campaign_names(
+def test_identify_guide_and_design_replace_nothing_that_the_campaign_names(
     key: str, name: str, naming: Naming, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copy(ROOT / "urdf" / "arid.urdf", tmp_path / "r.urdf")
@@ -157,6 +157,7 @@ def test_identify_and_design_replace_nothing_that_the_campaign_names(
         (tmp_path / folder).mkdir()
     os.link(file, tmp_path / "out" / name)  # a link is refused in any case
     refused(["identify", campaign, "-o", tmp_path / "out"], file, capsys)
+    refused(["guide", campaign, "--no-page", "-o", tmp_path / "out"], file, capsys)
     plan = naming(file, tmp_path / "plan" / "plan.csv")
     if plan.suffix == ".csv":  # no other ending is written
         refused(["design", campaign, "-n", "5", "-o", plan], file, capsys)
@@ -188,7 +189,7 @@ def test_init_replaces_nothing_at_all(naming: Naming, tmp_path: Path, capsys: py
 
 
 def test_every_command_that_writes_is_tried_here() -> None:
-    tried = {words[0] for _, words in (*FILES.values(), *BESIDE.values())} | {"identify", "design", "init"}
+    tried = {words[0] for _, words in (*FILES.values(), *BESIDE.values())} | {"identify", "guide", "design", "init"}
     assert tried == set(COMMANDS) - {"print", "view", "doctor", "completion"}  # which read no file, or write none
 
 
