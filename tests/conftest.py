@@ -55,10 +55,16 @@ def pytest_configure() -> None:
             os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 
 
+def pytest_collection() -> None:
+    """Some hundred thousand objects of the tests themselves stay to the end: no collection of garbage looks at them."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
-    """Some hundred thousand objects of the tests themselves stay to the end: no collection of garbage looks at them again."""
+    """Nor does any later one."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
