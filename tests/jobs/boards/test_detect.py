@@ -26,9 +26,7 @@ PRINTED = {what: svg(on_paper(drawing(board), what)) for what, board in BOARDS.i
 VIEWS = [
     looking(0, 0, 0.45),
     looking(0.01, 0.01, 0.47, 0.5, 0.3, 0.2),
-    looking(-0.01, 0, 0.5, -0.5, 0.1, 2.0),
     looking(0, 0.01, 0.5, -0.3, -0.4, 3.1),
-    looking(0.01, 0, 0.48, 0.2, -0.3, -1.5),
 ]
 
 
@@ -112,18 +110,17 @@ def test_blur_is_refused_or_does_no_harm(what):
     sharp = photograph(PRINTED[what], VIEWS[1], blur=0, noise=0)
     places = places_on_the_sheet(what)
     refused = 0
-    for k, sigma in enumerate((1, 3, 14)):
-        for motion in (False, True):
-            image = cv2.blur(sharp, (round(3.5 * sigma) | 1, 1)) if motion else cv2.GaussianBlur(sharp, (0, 0), sigma)
-            noise = 1.5 * np.random.default_rng(k).normal(size=image.shape)
-            try:
-                found = find(np.clip(image + noise, 0, 255).astype(np.uint8), looked_for(what))
-            except NotMeasured:
-                refused += 1
-                continue
-            off = found.pixels - pixels_of(np.array([places[name] for name in found.names]), VIEWS[1])
-            assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.25, (sigma, motion)
-    assert refused >= 2
+    for sigma, motion in ((1, True), (3, False), (3, True), (14, False)):
+        image = cv2.blur(sharp, (round(3.5 * sigma) | 1, 1)) if motion else cv2.GaussianBlur(sharp, (0, 0), sigma)
+        noise = 1.5 * np.random.default_rng(sigma).normal(size=image.shape)
+        try:
+            found = find(np.clip(image + noise, 0, 255).astype(np.uint8), looked_for(what))
+        except NotMeasured:
+            refused += 1
+            continue
+        off = found.pixels - pixels_of(np.array([places[name] for name in found.names]), VIEWS[1])
+        assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.25, (sigma, motion)
+    assert refused >= 1
 
 
 @pytest.mark.parametrize("what", ["charuco", "cube"])
@@ -191,13 +188,13 @@ def taken(tmp_path_factory) -> Path:
     """Folders of photographs of every board."""
     home = tmp_path_factory.mktemp("taken")
     for what in BOARDS:
-        shots(home / what, what, 12 if what == "charuco" else 5)
+        shots(home / what, what, 8 if what == "charuco" else 1)
     return home
 
 
 @pytest.fixture
 def images(taken, tmp_path) -> Path:
-    """Twelve photographs of a ChArUco board, to be spoilt."""
+    """Eight photographs of a ChArUco board, to be spoilt."""
     return Path(shutil.copytree(taken / "charuco", tmp_path / "images"))
 
 
@@ -214,7 +211,7 @@ def test_images_and_joints_make_a_complete_table_of_pixels_with_its_camera(image
     cv2.imwrite(str(images / "dark.png"), np.zeros((SIZE[1], SIZE[0]), np.uint8))
     (images / "broken.jpg").write_bytes(b"\xff\xd8 no more")
     (images / "notes.txt").write_text("no image")
-    names = [f"shot_{k}.png" for k in range(1, 12)]
+    names = [f"shot_{k}.png" for k in range(1, 8)]
     out = tmp_path / "out" / "corners.csv"
     assert (
         main([str(images), "--joints", str(joints(tmp_path / "joints.csv", names)), "--camera", "cam", "-o", str(out)])
@@ -223,13 +220,13 @@ def test_images_and_joints_make_a_complete_table_of_pixels_with_its_camera(image
     table = pd.read_csv(out)
     assert list(table.columns) == ["image", "camera", "marker", "u", "v", "shot", "q1", "q2", "temperature", "note"]
     assert set(table["image"]) == set(names) and set(table["camera"]) == {"cam"}
-    assert table.groupby("image")["shot"].nunique().max() == 1 and table["shot"].nunique() == 11
+    assert table.groupby("image")["shot"].nunique().max() == 1 and table["shot"].nunique() == 7
     assert np.allclose(table["q2"], -2 * table["q1"]) and table.groupby("image")["q1"].first()["shot_3.png"] == 0.2
     refused = pd.read_csv(tmp_path / "out" / "refused.csv").set_index("image")["why"]
-    assert set(refused.index) == {"dark.png", "broken.jpg", "shot_12.png"}
-    assert "no row" in refused["shot_12.png"] and "damaged" in refused["broken.jpg"]
+    assert set(refused.index) == {"dark.png", "broken.jpg", "shot_8.png"}
+    assert "no row" in refused["shot_8.png"] and "damaged" in refused["broken.jpg"]
     err = capsys.readouterr().err
-    assert "11 images, 3 images refused" in err and "broken.jpg" in err
+    assert "7 images, 3 images refused" in err and "broken.jpg" in err
 
 
 def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, tmp_path):
@@ -247,7 +244,7 @@ def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, t
 
 
 def test_tags_alone_tell_the_camera_too(tmp_path):
-    shots(tmp_path / "cube", "cube", 10)
+    shots(tmp_path / "cube", "cube", 8)
     assert main([str(tmp_path / "cube"), "--board", "apriltag", "-o", str(tmp_path / "c.csv")]) == 0
     camera = camera_by_name(tmp_path / "camera.yaml", "eye")
     assert np.allclose(camera.intrinsics[:2] / INTRINSICS[:2], 1, atol=0.01)
