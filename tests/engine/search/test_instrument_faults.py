@@ -81,12 +81,12 @@ CASES = {
         {"kind": "flatness", "where": "table", "coefficients": [2e-3, -1e-3, 3e-3]}, {"gauge": 0.02},
     ),
     "a lens": Case(
-        {"kind": "pixels"}, {"cameras": {"eye": EYE}}, 24,
+        {"kind": "pixels"}, {"cameras": {"eye": EYE}}, 40,
         {"kind": "lens_distortion", "where": "eye", "motion": "k1", "coefficients": -0.02}, {},
     ),
     "a plate that was knocked": Case(
-        {"kind": "plane"}, PLATES, 110,
-        {"kind": "shift", "where": "wall", "coefficients": [1e-3, -1e-3, 1e-3], "at": {"row": 56}}, {"gauge": 0.02},
+        {"kind": "plane"}, PLATES, 160,
+        {"kind": "shift", "where": "wall", "coefficients": [1e-3, -1e-3, 1e-3], "at": {"row": 81}}, {"gauge": 0.02},
     ),
 }  # fmt: skip
 

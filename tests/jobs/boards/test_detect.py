@@ -188,13 +188,13 @@ def taken(tmp_path_factory) -> Path:
     """Folders of photographs of every board."""
     home = tmp_path_factory.mktemp("taken")
     for what in BOARDS:
-        shots(home / what, what, 8 if what == "charuco" else 1)
+        shots(home / what, what, 12 if what == "charuco" else 1)
     return home
 
 
 @pytest.fixture
 def images(taken, tmp_path) -> Path:
-    """Eight photographs of a ChArUco board, to be spoilt."""
+    """Twelve photographs of a ChArUco board, to be spoilt."""
     return Path(shutil.copytree(taken / "charuco", tmp_path / "images"))
 
 
@@ -211,7 +211,7 @@ def test_images_and_joints_make_a_complete_table_of_pixels_with_its_camera(image
     cv2.imwrite(str(images / "dark.png"), np.zeros((SIZE[1], SIZE[0]), np.uint8))
     (images / "broken.jpg").write_bytes(b"\xff\xd8 no more")
     (images / "notes.txt").write_text("no image")
-    names = [f"shot_{k}.png" for k in range(1, 8)]
+    names = [f"shot_{k}.png" for k in range(1, 12)]
     out = tmp_path / "out" / "corners.csv"
     assert (
         main([str(images), "--joints", str(joints(tmp_path / "joints.csv", names)), "--camera", "cam", "-o", str(out)])
@@ -220,13 +220,13 @@ def test_images_and_joints_make_a_complete_table_of_pixels_with_its_camera(image
     table = pd.read_csv(out)
     assert list(table.columns) == ["image", "camera", "marker", "u", "v", "shot", "q1", "q2", "temperature", "note"]
     assert set(table["image"]) == set(names) and set(table["camera"]) == {"cam"}
-    assert table.groupby("image")["shot"].nunique().max() == 1 and table["shot"].nunique() == 7
+    assert table.groupby("image")["shot"].nunique().max() == 1 and table["shot"].nunique() == 11
     assert np.allclose(table["q2"], -2 * table["q1"]) and table.groupby("image")["q1"].first()["shot_3.png"] == 0.2
     refused = pd.read_csv(tmp_path / "out" / "refused.csv").set_index("image")["why"]
-    assert set(refused.index) == {"dark.png", "broken.jpg", "shot_8.png"}
-    assert "no row" in refused["shot_8.png"] and "damaged" in refused["broken.jpg"]
+    assert set(refused.index) == {"dark.png", "broken.jpg", "shot_12.png"}
+    assert "no row" in refused["shot_12.png"] and "damaged" in refused["broken.jpg"]
     err = capsys.readouterr().err
-    assert "7 images, 3 images refused" in err and "broken.jpg" in err
+    assert "11 images, 3 images refused" in err and "broken.jpg" in err
 
 
 def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, tmp_path):
