@@ -192,7 +192,7 @@ SOUGHT = {"candidates": ["joint_compliance", "payload_compliance", "joint_gain"]
 
 
 def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> None:
-    q = readings(two_arms.machine(), 240)
+    q = readings(two_arms.machine(), 160)
     load = np.random.default_rng(4).choice([0.0, 5.0, 10.0], len(q))
     robot = replace(two_arms.machine(2, yields=1e-4), carried={"left_hand": load})
     keys = {"tip": "right_hand", "base": "torso", "urdf": "two_arms.urdf"}  # the default path is the other arm's
@@ -222,7 +222,7 @@ def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> No
 
 def test_payloads_on_both_hands_bend_the_arms_that_carry_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Round trip, a check of new rows, and rows after a change, with a column for each mass."""
-    q, rng = readings(two_arms.machine(), 200), np.random.default_rng(4)
+    q, rng = readings(two_arms.machine(), 150), np.random.default_rng(4)
     masses = {side: rng.choice([0.0, 5.0, 10.0], len(q)) for side in ("left", "right")}
     robot = two_arms.machine(2, yields=5e-5)
     robot = replace(
