@@ -33,7 +33,7 @@ SMALL = 1e-6
 def _few_candidates() -> Iterator[None]:
     """A smaller pool than the command's, so that plans are quick."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planning, "POOL", 200)
+        patch.setattr(planning, "POOL", 120)
         yield
 
 
