@@ -29,13 +29,15 @@ LIMIT = 1.3
 """Held-out errors of a tenth of some 150 rows scatter by less."""
 
 XYZ = ["x", "y", "z"]
+SOUGHT = {"candidates": ["joint_compliance", "payload_compliance", "joint_gain"]}
+"""What masses might be taken for; searches of all kinds in clean arms of several limbs are in test_cells."""
 
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[two_arms.Machine, aridcal.Calibration, Path]:
     """Calibrated with a tracker, a camera and a bar, and read back from its file."""
     folder, robot = tmp_path_factory.mktemp("both"), two_arms.machine()
-    path = two_arms.write(folder, robot, ("tracker", "camera", "ballbar"), readings(robot, 110))
+    path = two_arms.write(folder, robot, ("tracker", "camera", "ballbar"), readings(robot, 110), diagnosis=SOUGHT)
     found = aridcal.calibrate(path)
     errors = found.errors.loc["final"].loc["test"]
     assert errors["position_rms_mm"] < LIMIT * np.sqrt(3.0) * 1e3 * two_arms.SIGMA
@@ -185,10 +187,6 @@ def test_programs_of_several_limbs_are_refused(
         capsys.readouterr().err.split()
     )
     assert not (tmp_path / "out.script").exists()
-
-
-SOUGHT = {"candidates": ["joint_compliance", "payload_compliance", "joint_gain"]}
-"""What two masses might be taken for."""
 
 
 def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> None:
