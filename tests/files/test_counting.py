@@ -93,7 +93,7 @@ def test_the_key_is_named_first_and_with_it_nothing_differs(
     ("name", "angle"), [("poses", "deg"), ("a sign and a zero", "deg"), ("a sign and a zero", "rad")]
 )
 def test_init_finds_the_units_all_the_same_and_writes_the_key_once_it_is_chosen(
-    name: str, angle: str, truth: robots.Truth, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, angle: str, truth: robots.Truth, tmp_path: Path
 ) -> None:
     spoil, keys = SPOILT[name]
     table = spoil(robots.table(truth))
@@ -105,8 +105,6 @@ def test_init_finds_the_units_all_the_same_and_writes_the_key_once_it_is_chosen(
     table.to_csv(tmp_path / "m.csv", index=False)
     path = tmp_path / "campaign.yaml"
     asked = ["--urdf", str(tmp_path / "robot.urdf"), "--measurements", str(tmp_path / "m.csv"), "-o", str(path)]
-    assert aridcal.init.main(asked) == 2
-    assert "--set reading=NUMBER" in capsys.readouterr().err and not path.exists()
     assert aridcal.init.main([*asked, "--set", "reading=1"]) == 0
     said = yaml.safe_load(path.read_text())["measurements"]
     assert said.get("units", {}) == ({} if angle == "rad" else {"angle": "deg", "length": "mm"})
