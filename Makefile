@@ -9,7 +9,7 @@ export MPLBACKEND ?= Agg
 # Bytecode is kept whatever the surroundings say: tests start hundreds of processes, each of which would compile anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test print fuzz lint bench pictures docs lock matrix sbom wheel clean
+.PHONY: demo test suite print fuzz lint style types bench pictures docs lock matrix sbom wheel clean
 .DEFAULT_GOAL := demo
 
 DEMO := identification/arid-undeclared
@@ -20,7 +20,12 @@ demo: $(READY)
 	@echo "  $(CURDIR)/$(DEMO)/results/report.html   the answer, and the reasons for it"
 	@echo "  $(CURDIR)/$(DEMO)/results/scene.html    the robot and its errors in 3D"
 
-test: lint
+# Types are checked beside the tests: alone, mypy would leave all cores but one without work for a minute.
+test: style
+	@$(MAKE) --no-print-directory --jobs=2 types suite || \
+		{ echo "make test: mypy or the tests failed, see above" >&2; exit 1; }
+
+suite: $(READY)
 	$(BIN)/pytest
 
 # Boards, a cube of tags and sockets for a ball, at true scale: print at 100 % and measure the rulers.
@@ -35,9 +40,13 @@ fuzz: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[fuzz]'
 	$(BIN)/python -m fuzz
 
-lint: $(READY)
+lint: style types
+
+style: $(READY)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+
+types: $(READY)
 	$(BIN)/mypy
 
 bench: $(READY)

@@ -83,7 +83,7 @@ def test_grasps_are_among_the_results_and_on_the_report(
 
 
 def test_a_tracker_beside_it_tells_the_rest(tmp_path: Path) -> None:
-    robot, path = write(tmp_path, ("tracker", "joined"), 120, diagnosis={"enabled": False})
+    robot, path = write(tmp_path, ("tracker", "joined"), 90, diagnosis={"enabled": False})
     found = aridcal.calibrate(path)
     q = np.random.default_rng(8).uniform(-1.0, 1.0, (40, len(robot.joints)))
     told = {

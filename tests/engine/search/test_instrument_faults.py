@@ -63,21 +63,21 @@ class Case:
 
 CASES = {
     "a tracker's scale, beside wires": Case(
-        [LASER, {"kind": "distance"}], WIRES, 90,
+        [LASER, {"kind": "distance"}], WIRES, 60,
         {"kind": "tracker_scale", "where": "laser", "coefficients": 4e-4}, {},
     ),
     "a tracker's range, beside wires": Case(
-        [LASER, {"kind": "distance"}], WIRES, 90,
+        [LASER, {"kind": "distance"}], WIRES, 60,
         {"kind": "range_error", "where": "laser", "coefficients": 5e-4}, {},
     ),
     "a wire's scale": Case(
-        {"kind": "distance"}, WIRES, 160, {"kind": "distance_scale", "where": "w2", "coefficients": 1e-3}, {}
+        {"kind": "distance"}, WIRES, 110, {"kind": "distance_scale", "where": "w2", "coefficients": 1e-3}, {}
     ),
     "a wire's sag": Case(
-        {"kind": "distance"}, WIRES, 160, {"kind": "wire_sag", "where": "w2", "coefficients": 3e-4}, {}
+        {"kind": "distance"}, WIRES, 110, {"kind": "wire_sag", "where": "w2", "coefficients": 3e-4}, {}
     ),
     "a bent plate": Case(
-        {"kind": "plane"}, PLATES, 160,
+        {"kind": "plane"}, PLATES, 110,
         {"kind": "flatness", "where": "table", "coefficients": [2e-3, -1e-3, 3e-3]}, {"gauge": 0.02},
     ),
     "a lens": Case(
@@ -143,7 +143,7 @@ def test_a_fault_is_found_by_its_name_with_its_size(name: str, searched: Searche
 SOUND = {
     "a tracker and wires": CASES["a tracker's scale, beside wires"],
     "plates": CASES["a bent plate"],
-    "sockets": Case({"kind": "point"}, {}, 160, {}, {}),
+    "sockets": Case({"kind": "point"}, {}, 110, {}, {}),
     "a camera": CASES["a lens"],
 }
 
@@ -158,7 +158,7 @@ def test_nothing_is_found_where_instruments_do_as_stated(name: str, tmp_path: Pa
 SCALE = {"kind": "tracker_scale", "where": "laser", "coefficients": 4e-4}
 BENT = {"kind": "flatness", "where": "table", "coefficients": [2e-3, -1e-3, 3e-3]}
 UNTOLD = {
-    "a tracker beside sockets that nobody measured": Case([LASER, {"kind": "point"}], {}, 90, SCALE, {}),
+    "a tracker beside sockets that nobody measured": Case([LASER, {"kind": "point"}], {}, 60, SCALE, {}),
     "a tracker beside an inclinometer": Case([POSE, {"kind": "inclination"}], {}, 90, SCALE, {}),
     "few places on a bent plate": Case({"kind": "plane"}, PLATES, 30, BENT, {}),
 }

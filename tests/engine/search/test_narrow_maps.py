@@ -78,7 +78,8 @@ def test_a_channel_without_any_noise_is_no_reason_to_stop(tmp_path: Path) -> Non
     robot = robots.ur10()
     truth = robots.simulate(robot, 80, rng)
     rows = robots.placed(truth.measured, position=truth.measured.position + rng.normal(0, SIGMA, (80, 3)))
-    path = robots.write_campaign(tmp_path, robots.replace(truth, measured=rows), diagnosis={"enabled": True})
+    kinds = {"candidates": ["joint_map", "joint_harmonic", "joint_gain"]}
+    path = robots.write_campaign(tmp_path, robots.replace(truth, measured=rows), diagnosis=kinds)
     table = robots.pd.read_csv(tmp_path / "measurements.csv")
     name = robot.names[JOINT]
     table[name] += 2e-3 * np.exp(-0.5 * ((table[name] - PLACE) / 0.3) ** 2)

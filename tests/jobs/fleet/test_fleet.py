@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -472,11 +472,22 @@ def test_a_script_without_a_guard_is_not_run_again_in_each_worker(tmp_path: Path
     assert done.stdout.split("\n") == ["here", "works", "True None 0", ""]
 
 
+@contextmanager
+def on_one_core() -> Iterator[None]:
+    """A fleet starts a worker for each core, and one is enough."""
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
 def test_workers_of_this_computer_leave_the_c_library_its_own_ways_with_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
-    with dask_engine(None, SILENT) as engine:
+    with on_one_core(), dask_engine(None, SILENT) as engine:
         answers = dict(engine(os.getenv, {"trims": "MALLOC_TRIM_THRESHOLD_", "threads": "OMP_NUM_THREADS"}))
     assert answers == {"trims": None, "threads": "1"}
 
@@ -533,9 +544,10 @@ def test_a_fleet_that_is_stopped_leaves_nothing_half_written_and_goes_on(plant: 
     words = [sys.executable, "-m", "aridcal.fleet", str(plant / "robots/*/campaign.yaml"), "-o", str(out)]
     before = {name: (out / name / "fleet.json").stat().st_ino for name in ("arm-0", "arm-1")}
     with claimed(out / "arm-2", "folder"):  # its worker waits: the command cannot be done before it is stopped
-        command = subprocess.Popen(
-            words, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        )
+        with on_one_core():
+            command = subprocess.Popen(
+                words, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            )
         assert command.stdout is not None
         while all((out / name / "fleet.json").stat().st_ino == inode for name, inode in before.items()):
             assert command.poll() is None

@@ -386,7 +386,12 @@ def test_tables_in_millimetres_and_degrees_with_stations_are_read_as_the_campaig
         "orientation": {"euler": "XYZ", "columns": ["A", "B", "C"]},
     }
     path = robots.write_campaign(
-        tmp_path, truth, rows[:120], measurements=settings, frames={"world_base": {"per": "station"}}
+        tmp_path,
+        truth,
+        rows[:120],
+        measurements=settings,
+        frames={"world_base": {"per": "station"}},
+        diagnosis={"enabled": False},
     )
     outcome = identify(path)
     (tmp_path / "results").mkdir()

@@ -33,7 +33,7 @@ SMALL = 1e-6
 def _few_candidates() -> Iterator[None]:
     """A smaller pool than the command's, so that plans are quick."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planning, "POOL", 200)
+        patch.setattr(planning, "POOL", 120)
         yield
 
 
@@ -162,7 +162,7 @@ def test_limbs_keep_out_of_each_other_and_of_boxes(apart: pd.DataFrame) -> None:
 
 
 def test_a_bar_between_two_hands_is_planned_and_what_was_planned_is_read_back(tmp_path: Path) -> None:
-    path = two_arms.write(tmp_path, ROBOT, ("ballbar",), readings(ROBOT, 120), diagnosis={"enabled": False})
+    path = two_arms.write(tmp_path, ROBOT, ("ballbar",), readings(ROBOT, 100), diagnosis={"enabled": False})
     assert aridcal.design.main([str(path), "-n", "12", "-o", str(tmp_path / "plan.csv")]) == 0
     plan = pd.read_csv(tmp_path / "plan.csv")
     assert set(plan["anchor"]) == {"ball"} and set(ARMS["left"] + ARMS["right"]) <= set(plan)
@@ -238,7 +238,7 @@ def test_planned_images_show_a_whole_hand_past_a_box(tmp_path: Path) -> None:
 
 
 def test_images_are_planned_beside_those_that_are_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = two_arms.write(tmp_path, ROBOT, ("camera",), readings(ROBOT, 240), diagnosis={"enabled": False})
+    path = two_arms.write(tmp_path, ROBOT, ("camera",), readings(ROBOT, 160), diagnosis={"enabled": False})
     assert aridcal.design.main([str(path), "-n", "6", "-o", str(tmp_path / "plan.csv")]) == 0
     said = capsys.readouterr().out
     (random,) = re.findall(r"RMS of as many random configurations, mm: ([\d.]+)", said)
@@ -254,7 +254,7 @@ def test_both_hands_hold_the_body_in_planned_postures_as_in_the_last_row(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Where the real robot, by Pinocchio, would have the hands to each other: as near as the calibration so far knows it."""
-    path = two_arms.write(tmp_path, ROBOT, ("joined",), readings(ROBOT, 120), diagnosis={"enabled": False})
+    path = two_arms.write(tmp_path, ROBOT, ("joined",), readings(ROBOT, 90), diagnosis={"enabled": False})
     assert aridcal.design.main([str(path), "-n", "6", "-o", str(tmp_path / "plan.csv")]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "left_hand and right_hand hold the body as in the last row, grasp 7: it must not be let go since" in said

@@ -18,8 +18,9 @@ from scipy.spatial.transform import Rotation
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.constants import station_labels
+from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.loop import fit_constants
-from aridcal.files.campaign import load_campaign
+from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.files.read import load_measurements
 from aridcal.jobs.prepare.other_readings import refuse_misread
 from aridcal.system.errors import NotOfThisRobot
@@ -28,12 +29,18 @@ ABC = ["A", "B", "C"]
 FIRST = {"orientation": {"euler": "ZYX", "columns": ABC}}
 
 
+def read(folder: Path, truth: robots.Truth, table: pd.DataFrame, **sections: Any) -> tuple[Campaign, Dataset]:
+    """A campaign and its rows."""
+    measurements = {"file": "measurements.csv", "kind": "pose"} | sections.pop("measurements", {})
+    campaign = load_campaign(robots.write_campaign(folder, truth, table, measurements=measurements, **sections))
+    robot = truth.model.robot
+    return campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
+
+
 def judge(folder: Path, truth: robots.Truth, table: pd.DataFrame, **sections: Any) -> None:
     """What `identify` does before it looks for effects."""
-    measurements = {"file": "measurements.csv", "kind": "pose"} | sections.pop("measurements", {})
-    path = robots.write_campaign(folder, truth, table, measurements=measurements, **sections)
-    campaign, robot = load_campaign(path), truth.model.robot
-    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
+    robot = truth.model.robot
+    campaign, rows = read(folder, truth, table, **sections)
     try:
         geometry = fit_constants(campaign.question, robot, rows, station_labels(campaign.question, rows))
     except NotOfThisRobot:
@@ -97,10 +104,14 @@ def test_a_table_read_wrongly_is_refused_with_the_reading_that_fits(name: str, t
         judge(tmp_path, truth, table, measurements=said)
     remedy = str(caught.value)
     assert str(tmp_path / "measurements.csv") in remedy
-    # The remedy, followed to the letter, is one.
+    # The remedy, followed to the letter, is one: rows are as they were measured.
     written = yaml.safe_load(remedy.partition("`")[2].removesuffix("`"))
     assert written == keys
-    judge(tmp_path, truth, table, measurements=said | written)
+    _, rows = read(tmp_path, truth, table, measurements=said | written)
+    line = rows.origin.line - 2
+    np.testing.assert_allclose(rows.readings, truth.readings[line], atol=1e-9)
+    np.testing.assert_allclose(rows.position, truth.measured.position[line], atol=1e-9)
+    np.testing.assert_allclose(rows.rotation, truth.measured.rotation[line], atol=1e-7)
 
 
 def backlash_and_gears(truth: robots.Truth) -> pd.DataFrame:
