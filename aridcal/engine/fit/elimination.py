@@ -18,9 +18,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from aridcal.engine.fit.normal_equations import NormalEquations, directions
@@ -166,16 +167,20 @@ class Projector:
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Columns, shape (N, m, d), less the part that groups take up."""
-        grouped = np.flatnonzero(self.group >= 0)
-        number = self.group[grouped]
-        gather = coo_array(
-            (np.ones(len(grouped)), (number, np.arange(len(grouped)))), shape=(number.max() + 1, len(grouped))
-        )
+        grouped, number, gather = self._members
         each = self.pull[grouped] @ values[grouped]
-        steps = (gather.tocsr() @ each.reshape(len(grouped), -1)).reshape(-1, *each.shape[1:])
+        steps = (gather @ each.reshape(len(grouped), -1)).reshape(-1, *each.shape[1:])
         remainder = values.copy()
         remainder[grouped] -= self.B[grouped] @ steps[number]
         return remainder
+
+    @cached_property
+    def _members(self) -> tuple[np.ndarray, np.ndarray, csr_array]:
+        """Rows of groups, the group of each, and the matrix that sums over the rows of each group: a search asks often."""
+        grouped = np.flatnonzero(self.group >= 0)
+        number = self.group[grouped]
+        ones = (np.ones(len(grouped)), (number, np.arange(len(grouped))))
+        return grouped, number, coo_array(ones, shape=(number.max() + 1, len(grouped))).tocsr()
 
 
 def projector(
