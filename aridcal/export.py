@@ -39,6 +39,7 @@ from aridcal.runs.model_export import export_c, export_casadi, export_numpy
 from aridcal.runs.model_files import export_draws, export_mjcf, export_ros2, export_sdf, export_tables, export_xacro
 from aridcal.system.errors import OutputError
 from aridcal.system.progress import Screen
+from aridcal.system.reading.regular_files import RESULT, read_file
 from aridcal.system.reading.user_names import path_argument
 
 FILES: dict[str, tuple[str, str, Callable[[Path, Path], list[str]]]] = {
@@ -159,8 +160,8 @@ def _list(console: Screen, path: Path, named: Path) -> None:
 def _result(path: Path) -> dict[str, Any] | None:
     """What `result.json` beside a calibration holds; None if there is none to be read."""
     try:
-        return dict(json.loads((path.parent / "result.json").read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
+        return dict(json.loads(read_file(path.parent / "result.json", OutputError, RESULT)))
+    except (OutputError, ValueError, TypeError):
         return None
 
 

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from os import SEEK_END
 from pathlib import Path
 from typing import IO
 
@@ -22,6 +23,9 @@ from aridcal.system.errors import MeasurementError
 from aridcal.system.progress import Progress
 from aridcal.system.writing.append import append
 from aridcal.system.writing.whole_files import atomic_file
+
+LONGEST_HEADER = 100_000
+"""Bytes of a first line that are looked at."""
 
 LOOK_EVERY = 0.1
 """[s] between two looks at the table: a row is to be answered within a second."""
@@ -123,13 +127,26 @@ def _stamp(path: Path) -> tuple[int, ...]:
     return status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size
 
 
+def _ends(path: Path) -> tuple[str, str]:
+    """The first line of a table and its last character; empty where there is none."""
+    if not path.exists():
+        return "", ""
+    with path.open("rb") as file:
+        first = file.readline(LONGEST_HEADER).decode("utf-8").strip()
+        file.seek(0, SEEK_END)
+        if not file.tell():
+            return "", ""
+        file.seek(-1, SEEK_END)
+        return first, file.read(1).decode("latin-1")
+
+
 def _append(path: Path, line: str) -> None:
     """Put a row from standard input into the campaign's table, unless it is the header that is there already."""
     try:
-        begun = path.read_text("utf-8") if path.exists() else ""
-        if begun and begun.split("\n", 1)[0].strip() == line.strip():
+        first, end = _ends(path)
+        if first and first == line.strip():
             return
-        append(path, ("\n" if begun and not begun.endswith("\n") else "") + line.rstrip("\r\n") + "\n")
+        append(path, ("\n" if end not in ("", "\n") else "") + line.rstrip("\r\n") + "\n")
     except (OSError, UnicodeError) as problem:
         raise MeasurementError(f"{path}: a row of standard input cannot be written to it: {problem}") from None
 

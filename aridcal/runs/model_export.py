@@ -17,7 +17,8 @@ from aridcal.jobs.export.casadi_function import casadi_function, is_function
 from aridcal.jobs.export.identifiers import identifier, is_identifier
 from aridcal.jobs.export.machine import Machine, Quantity, machine
 from aridcal.jobs.export.numpy_code import numpy_module
-from aridcal.system.errors import OutputError, shortened
+from aridcal.system.errors import CampaignError, OutputError, shortened
+from aridcal.system.reading.regular_files import CALIBRATION, RESULT, read_file
 from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import atomic_file, atomic_folder, claimed
 
@@ -103,7 +104,7 @@ def alone(calibration: Path, file: Path) -> AbstractContextManager[None]:
 def loaded(calibration: Path) -> tuple[SavedModel, str]:
     """A calibration, and the sha256 of its file."""
     path = calibration_file(calibration)
-    return SavedModel.load(path), hashlib.sha256(path.read_bytes()).hexdigest()
+    return SavedModel.load(path), hashlib.sha256(read_file(path, CampaignError, CALIBRATION)).hexdigest()
 
 
 def check_own(paths: Iterable[Path]) -> None:
@@ -113,7 +114,7 @@ def check_own(paths: Iterable[Path]) -> None:
         OutputError: naming the file.
     """
     for path in paths:
-        if path.is_file() and MARK.encode() not in path.read_bytes():
+        if path.is_file() and MARK.encode() not in read_file(path, OutputError, RESULT):
             raise _not_ours(path)
 
 

@@ -25,7 +25,7 @@ from aridcal.jobs.export.sdf_file import sdf
 from aridcal.jobs.export.xacro_file import xacro
 from aridcal.runs.model_export import MARK, alone, c_names, check_own, loaded, write_c
 from aridcal.system.errors import OutputError, shortened
-from aridcal.system.reading.regular_files import SETTINGS, TABLE_LIMIT, read_file
+from aridcal.system.reading.regular_files import CALIBRATION, SETTINGS, TABLE_LIMIT, read_file
 from aridcal.system.wording import plural
 from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import write_csv
@@ -183,7 +183,7 @@ def export_ros2(calibration: Path, folder: Path) -> list[str]:
             for each in texts[1:3]:
                 (stage / each).write_text(asset(each, name, f"{MARK} {__version__}"), encoding="utf-8")
             if (beside / "kinematics.yaml").exists():
-                (stage / "kinematics.yaml").write_bytes((beside / "kinematics.yaml").read_bytes())
+                (stage / "kinematics.yaml").write_bytes(read_file(beside / "kinematics.yaml", OutputError, CALIBRATION))
             offsets = _offsets(beside)
             if offsets:
                 note = "Offsets of joints by themselves, without calibrated.urdf: the error is that of `joint offsets alone`."

@@ -82,8 +82,8 @@ def test_a_quiet_comparison_says_its_answer_by_its_status_alone(
     assert capfd.readouterr() == ("", "")
 
 
-PRINTS_ITS_RESULT = ("view", "completion")
-"""What these print is what they are for: an address, a script."""
+PRINTS_ITS_RESULT = ("guide", "view", "completion")
+"""What these print is what they are for: the next pose, an address, a script."""
 
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name not in PRINTS_ITS_RESULT])

@@ -29,6 +29,7 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.pages.drawing.html import table, tag
 from aridcal.pages.drawing.one_page import OnePage, Part, as_html
 from aridcal.pages.drawing.page_frame import Section, card, empty_page, filled, framed_page
+from aridcal.pages.guide_page import guide_page
 from aridcal.pages.report.first_screen import in_controller
 from aridcal.pages.report.page import page, write_report
 from aridcal.system.wording import number, plus_minus
@@ -47,6 +48,7 @@ def made_of(words: str) -> dict[str, Markup]:
         "empty.html": empty_page(words, words),
         "card.html": card(words, words, (words, 1.0), (words, 2.0), words, words),
         "one_page.html": as_html(one),
+        "guide.html": guide_page(words, words),
         "scene.html": filled("scene.html", title=words, style="", data="", licence="", meshcat="", script=""),
     }
 

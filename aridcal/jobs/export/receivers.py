@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from aridcal.system.errors import OutputError
+from aridcal.system.reading.regular_files import CALIBRATION, read_file
+
 FULL, URDF_ALONE, MAPS, OFFSETS, REGIONS = (
     "full model", "URDF alone", "+ joint maps", "joint offsets alone", "URDF by region",
 )  # fmt: skip
@@ -16,7 +19,7 @@ FULL, URDF_ALONE, MAPS, OFFSETS, REGIONS = (
 STAGES = {FULL: "final", URDF_ALONE: "geometric"}
 """Of `result.json`: the stage whose error that is."""
 
-STATED = "joint_offsets.yaml"
+STATED = "kinematics.yaml"
 """A file of every result folder whose comment states the error of each."""
 
 
@@ -83,8 +86,8 @@ def remaining(receiver: Receiver, folder: Path, result: Mapping[str, Any] | None
 def _stated(folder: Path) -> dict[str, str]:
     """Errors as the comment of an exported file states them: `All exports: nominal 1.15 mm, URDF alone 0.44, ...`."""
     try:
-        text = (folder / STATED).read_text(encoding="utf-8")
-    except (OSError, ValueError):
+        text = read_file(folder / STATED, OutputError, CALIBRATION).decode("utf-8")
+    except (OutputError, ValueError):
         return {}
     line = re.search(r"^# All exports: nominal [\d.]+ (\S+), (.*)\.$", text, re.MULTILINE)
     if line is None:
