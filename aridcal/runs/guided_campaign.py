@@ -144,7 +144,7 @@ def to_calibrate(session: Session) -> Campaign:
     """
     campaign, table = session.campaign, session.table
     (path,) = campaign.measurements.files
-    usable = [k for k in range(len(table.rows)) if session.serves(k)]
+    usable = session.serving()
     content = content_of(path, campaign.limits.table)
     if content is None or content.replace(b"\r\n", b"\n") != table.text(usable):
         copy = path.with_name(f"{path.stem}.good{path.suffix}")
