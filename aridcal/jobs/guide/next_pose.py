@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.jobs.guide.posterior import POOL, Posterior
-from aridcal.jobs.plan.configurations import Candidates, allowed, draw_candidates, ends
+from aridcal.jobs.guide.posterior import Posterior, configurations
+from aridcal.jobs.plan.configurations import Candidates, allowed, ends
 from aridcal.jobs.plan.information import CandidateInformation, stack_by_candidate, target_columns, whitened
 from aridcal.jobs.plan.row_exchange import RowChoice, gain_of_rows, rms_sigma, updated
 
@@ -46,7 +46,7 @@ class Pool:
 
 def drawn(posterior: Posterior, rng: np.random.Generator) -> Candidates:
     """Configurations that can be measured."""
-    return draw_candidates(posterior.setup, POOL, 1, rng)
+    return configurations(posterior.setup, rng)
 
 
 def pool(posterior: Posterior, candidates: Candidates, region: np.ndarray, here: np.ndarray | None) -> Pool:

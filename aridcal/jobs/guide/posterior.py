@@ -30,14 +30,22 @@ from aridcal.engine.rows.dataset import Dataset, with_sigma
 from aridcal.engine.search.loop import fit_constants
 from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.files.campaign import Campaign
-from aridcal.jobs.plan.configurations import draw_candidates
-from aridcal.jobs.plan.information import TOGETHER_RANK, columns_of, expected_rows
+from aridcal.jobs.plan.configurations import Candidates, draw_candidates
+from aridcal.jobs.plan.information import TOGETHER_RANK, columns_of, expected_rows, whitened
 from aridcal.jobs.plan.prior_knowledge import PlanSetup, from_fit, patterns_of
 from aridcal.jobs.plan.usual_effects import with_stated_effects, with_usual_effects
 from aridcal.system.errors import AridcalError, NotOfThisRobot
 
-POOL = 600
-"""Configurations to choose from: the best of as many is within some per cent of the best of all."""
+POOL, SMALL_POOL = 600, 90
+"""Configurations to choose from: the best of as many is within some per cent of the best of all; and the same where each must be
+sought, as the target must come to a point, so that a row is answered within a second."""
+
+SHOWN_BY, UNTOLD_SHARE = 60, 0.03
+"""Poses of which not one tells anything of a combination of unknowns: all of them move it by less than this share of a sigma, so
+that a thousand times as many would. Where the arm stands is such a one, if nobody knows where any thing is."""
+
+HELD = 1e3
+"""Sigmas of what is expected by which such a combination is held where it is: it is a choice of axes, no error."""
 
 USUAL_SHARE = 0.1
 """Of :data:`REACH_ANGLE` and :data:`REACH_LENGTH`, which are ten times what robots are usually wrong by."""
@@ -66,6 +74,7 @@ class Posterior:
         information: M, shape (D, D).
         pull: g, shape (D,): zero at the fit.
         freedom: Numbers measured beyond those that unknowns took up.
+        poses: Some that can be measured, which show what no row tells; None where rows tell the target's whole pose.
     """
 
     setup: PlanSetup
@@ -73,6 +82,7 @@ class Posterior:
     information: np.ndarray
     pull: np.ndarray
     freedom: float
+    poses: Candidates | None = None
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -167,6 +177,12 @@ def _usual(c: Coefficient) -> float:
 _COMPONENTS = ANGULAR | {"x", "y", "z", "a", "d"}
 
 
+def configurations(setup: PlanSetup, rng: np.random.Generator) -> Candidates:
+    """Configurations that can be measured, to choose from."""
+    traits = setup.campaign.measurements.traits
+    return draw_candidates(setup, SMALL_POOL if traits.condition else POOL, 1, rng)
+
+
 def before_rows(setup: PlanSetup) -> Posterior:
     """What is known before any row."""
     base = expected(setup)
@@ -174,7 +190,37 @@ def before_rows(setup: PlanSetup) -> Posterior:
     flat = expected_rows(setup)
     D = flat.shape[1]
     loose = np.diag(1.0 / UNTOLD_SIGMA**2 * np.r_[np.ones(D - len(base)), np.zeros(len(base))])
-    return Posterior(setup, base, flat.T @ flat + loose, np.zeros(D), 0.0)
+    traits = setup.campaign.measurements.traits
+    poses = None if traits.tracked else draw_candidates(setup, SHOWN_BY, 1, np.random.default_rng(0))
+    information = flat.T @ flat + loose
+    return Posterior(setup, base, information + held(setup, poses, information), np.zeros(D), 0.0, poses)
+
+
+def held(setup: PlanSetup, poses: Candidates | None, beforehand: np.ndarray) -> np.ndarray:
+    """Information that holds what no row tells, shape (D, D): axes of the base or of a tip, which nothing defines.
+
+    Without it such combinations count as errors of the target, as large as what is expected of the constants in them.
+
+    Args:
+        setup: K coefficients.
+        poses: Some that can be measured; None: nothing is held.
+        beforehand: Information before any row, shape (D, D).
+    """
+    if poses is None:
+        return np.zeros_like(beforehand)
+    rows = whitened(setup, poses).reshape(-1, len(beforehand))
+    std = 1.0 / np.sqrt(np.diag(beforehand))
+    things = len(std) - len(setup.theta)
+    stated = expected_rows(setup)
+    rows = np.concatenate([rows, stated[np.any(stated[:, :things] != 0.0, axis=1)]])  # known lengths and places
+    # What stepped at a slip is told by the rows before it, not by those to come.
+    stepped = [things + k for k, c in enumerate(setup.model.coefficients) if c.basis.form == "step"]
+    lasting = np.setdiff1d(np.arange(len(std)), stepped)
+    _, s, Vt = np.linalg.svd(rows[:, lasting] * std[lasting], full_matrices=True)
+    untold = Vt[np.flatnonzero(np.pad(s, (0, len(lasting) - len(s))) < UNTOLD_SHARE)] / std[lasting]
+    information = np.zeros_like(beforehand)
+    information[np.ix_(lasting, lasting)] = HELD**2 * untold.T @ untold
+    return information
 
 
 def begun(
@@ -216,7 +262,7 @@ def begun(
 
 def with_suspects(setup: PlanSetup, rng: np.random.Generator) -> PlanSetup:
     """The setup with the effects that the campaign declares; where it declares none, with those that such arms usually have."""
-    candidates = draw_candidates(setup, POOL, 1, rng)
+    candidates = configurations(setup, rng)
     setup = with_stated_effects(setup, candidates)
     return setup if setup.campaign.effects else with_usual_effects(setup, candidates)
 
@@ -287,12 +333,13 @@ def fitted(before: Posterior, rows: Dataset) -> Posterior:
     F, r = columns_of(setup, rows)
     flat = F.reshape(-1, F.shape[2])
     beforehand = expected_rows(setup)
-    M = flat.T @ flat + beforehand.T @ beforehand
-    things = len(M) - K
-    M[:things, :things] += np.eye(things) / UNTOLD_SIGMA**2
+    stated = beforehand.T @ beforehand
+    things = len(stated) - K
+    stated[:things, :things] += np.eye(things) / UNTOLD_SIGMA**2
+    M = flat.T @ flat + stated + held(setup, before.poses, stated)
     pull = flat.T @ r.ravel()
     pull[things:] -= made.theta / sizes**2
-    return Posterior(setup, before.base, M, pull, max(made.freedom, 0.0))
+    return Posterior(setup, before.base, M, pull, max(made.freedom, 0.0), before.poses)
 
 
 def _sizes(base: np.ndarray, setup: PlanSetup, theta: np.ndarray, variance: np.ndarray) -> np.ndarray:
@@ -352,4 +399,5 @@ def moved_by(posterior: Posterior, more: Sequence[Coefficient], std: float) -> P
         M,
         np.r_[posterior.pull, np.zeros(len(more))],
         posterior.freedom,
+        posterior.poses,
     )
