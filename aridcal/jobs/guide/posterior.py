@@ -31,7 +31,7 @@ from aridcal.engine.search.loop import fit_constants
 from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.files.campaign import Campaign
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates
-from aridcal.jobs.plan.information import TOGETHER_RANK, columns_of, expected_rows, whitened
+from aridcal.jobs.plan.information import TOGETHER_RANK, columns_of, expected_rows
 from aridcal.jobs.plan.prior_knowledge import PlanSetup, from_fit, patterns_of
 from aridcal.jobs.plan.usual_effects import with_stated_effects, with_usual_effects
 from aridcal.system.errors import AridcalError, NotOfThisRobot
@@ -208,7 +208,7 @@ def held(setup: PlanSetup, poses: Candidates | None, beforehand: np.ndarray) -> 
     """
     if poses is None:
         return np.zeros_like(beforehand)
-    rows = whitened(setup, poses).reshape(-1, len(beforehand))
+    rows = columns_of(setup, poses.rows(setup))[0].reshape(-1, len(beforehand))
     std = 1.0 / np.sqrt(np.diag(beforehand))
     things = len(std) - len(setup.theta)
     stated = expected_rows(setup)
