@@ -155,8 +155,8 @@ def inverse(information: np.ndarray) -> np.ndarray:
 def expected(setup: PlanSetup) -> np.ndarray:
     """Standard deviation that is expected of each coefficient before any row, shape (K,).
 
-    Frames and instruments may be anywhere within :data:`UNTOLD_SIGMA` of where closed forms have them; constants are off by what is
-    usual.
+    Frames and instruments may be anywhere within :data:`UNTOLD_SIGMA` of where closed forms have them; constants are off by
+    what is usual.
     """
     sizes, at_things = setup.model.sizes, setup.model.at_things
     usual = [
@@ -223,9 +223,7 @@ def held(setup: PlanSetup, poses: Candidates | None, beforehand: np.ndarray) -> 
     return information
 
 
-def begun(
-    campaign: Campaign, robot: Robot, around: Bodies, prior: PlanSetup | None, rows: Dataset
-) -> PlanSetup | None:
+def begun(campaign: Campaign, robot: Robot, around: Bodies, prior: PlanSetup | None, rows: Dataset) -> PlanSetup | None:
     """The setup with its frames, and what the rows refer to, where closed forms have them; None where rows are too few.
 
     Args:

@@ -166,7 +166,7 @@ class Session:
         return [*events, *self._ahead()]
 
     def _heads(self, new: Sequence[int]) -> list[int]:
-        """Those of new lines that a measurement begins with, or that are no row: the other rows of an image come with its first."""
+        """Those of new lines that begin a measurement, or are no row: the other rows of an image come with its first."""
         if not self.campaign.measurements.traits.images:
             return list(new)
         within = set(self.read.lines.tolist()) - set(self.read.index.tolist())
@@ -295,7 +295,7 @@ class Session:
         return sum(channel.size for channel in self.posterior.setup.patterns.channels)
 
     def _off(self, F: np.ndarray, judged: Verdict) -> tuple[np.ndarray, np.ndarray] | None:
-        """By how much a row was off where the target is, [m] along each axis, and the variances of that; None where it is not told."""
+        """By how much a row was off at the target, [m] along each axis, and the variances of that; None if not told."""
         assert self.posterior is not None
         setup = self.posterior.setup
         spread = judged.spread / self.inflation.variance
@@ -314,7 +314,7 @@ class Session:
         return judged.error[first] * sigma, np.diag(spread)[first] * sigma**2
 
     def _as_if_moved(self, F: np.ndarray) -> np.ndarray | None:
-        """Columns of an image, F (p, D), as if what is on the tip were elsewhere, shape (p, 6): camera, board, or the last joint."""
+        """Columns of an image, F (p, D), as if camera, board or the last joint were elsewhere, shape (p, 6)."""
         assert self.posterior is not None
         names = self.posterior.setup.model.names
         for where in (*self._frames(), *reversed(self.robot.names)):
@@ -334,7 +334,9 @@ class Session:
         assert self.posterior is not None
         channels = self.posterior.setup.patterns.channels
         parts = []
-        if not self.campaign.measurements.traits.images and len(judged.error) == sum(channel.size for channel in channels):
+        if not self.campaign.measurements.traits.images and len(judged.error) == sum(
+            channel.size for channel in channels
+        ):
             for channel, part, sigma in zip(channels, columns(channels), self.posterior.setup.sigma, strict=True):
                 parts.append(f"{np.linalg.norm(judged.error[part]) * sigma * channel.scale:.3g} {channel.shown}")
         return f"{', '.join(parts)}, {judged.sigmas:.1f} sigma".lstrip(", ")
@@ -477,7 +479,9 @@ class Session:
         """Fit anew after a batch, and look at earlier rows again."""
         if self.posterior is None:
             return []
-        if any(self.good.get(int(k)) for k in self.read.index[~self._knows()]):  # with what is new the model begins anew
+        if any(
+            self.good.get(int(k)) for k in self.read.index[~self._knows()]
+        ):  # with what is new the model begins anew
             before, self.posterior = self.posterior, None
             self._begin(0)
             self.posterior = self.posterior or before
@@ -621,10 +625,7 @@ class Session:
         rows, some = self.read.rows, self._in_use()
         readings = rows.readings[some]
         titles = offers(self.prior.setup)
-        of = [
-            next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0)
-            for j in some.tolist()
-        ]
+        of = [next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0) for j in some.tolist()]
         patterns = [titles.patterns[n] for n in of]
         measured = Candidates(
             readings,
