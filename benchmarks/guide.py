@@ -222,7 +222,9 @@ def _one(folder: Path, arm: str, kind: str, seed: int) -> tuple[float, ...]:
     """One draw: floor, rows of each way, rows at the stop, and whether the truth is within."""
     one = cell(folder, arm, kind, seed)
     robot, rng = one.arm.simulation.robot, np.random.default_rng([seed, 8])
-    pool = draw_candidates(session(one.campaign, robot, None).prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings
+    prior = session(one.campaign, robot, None).prior
+    assert prior is not None  # poses and positions need no things
+    pool = draw_candidates(prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings
 
     def anew() -> tuple[Session, Cell]:
         one.arm.poses.clear()
@@ -305,7 +307,9 @@ def _fault(folder: Path, arm: str, kind: str, fault: str, seed: int) -> tuple[in
     for n in range(1, at + 3):
         if not isinstance(events[-1], Next):
             now.stopped = False
-            events = [now._next(now._pool())]
+            known = now._now()
+            assert known is not None  # poses and positions need no things
+            events = [now._next(known, now._pool(known))]
         if n == at and fault in ("target", "tripod"):
             model = one.arm.model
             frames = model.tip_target if fault == "target" else model.world_base

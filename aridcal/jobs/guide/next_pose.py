@@ -7,13 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.jobs.guide.posterior import Posterior
-from aridcal.jobs.plan.configurations import Candidates, allowed, draw_candidates, ends
+from aridcal.jobs.guide.posterior import Posterior, configurations
+from aridcal.jobs.plan.configurations import Candidates, allowed, ends
 from aridcal.jobs.plan.information import CandidateInformation, stack_by_candidate, target_columns, whitened
 from aridcal.jobs.plan.row_exchange import RowChoice, gain_of_rows, rms_sigma, updated
-
-POOL = 600
-"""Configurations to choose from: the best of as many is within some per cent of the best of all."""
 
 PLACES = 100
 """Places of the region: their mean is known to a tenth, and the same ones count for every choice."""
@@ -49,7 +46,7 @@ class Pool:
 
 def drawn(posterior: Posterior, rng: np.random.Generator) -> Candidates:
     """Configurations that can be measured."""
-    return draw_candidates(posterior.setup, POOL, 1, rng)
+    return configurations(posterior.setup, rng)
 
 
 def pool(posterior: Posterior, candidates: Candidates, region: np.ndarray, here: np.ndarray | None) -> Pool:

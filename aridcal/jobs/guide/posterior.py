@@ -17,19 +17,35 @@ from functools import cached_property
 import numpy as np
 
 from aridcal.engine.corrections.effect import ANGULAR, MOUNTING_FRAMES, Coefficient
-from aridcal.engine.fit.constants import station_labels
+from aridcal.engine.fit.constants import constants, frame_coefficients, station_labels
 from aridcal.engine.fit.least_squares import NUMBERS_THAT_TELL_NOISE, fit
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import REACH_ANGLE, REACH_LENGTH
+from aridcal.engine.model.model import Model
+from aridcal.engine.model.predictions import merged_instruments
 from aridcal.engine.robot.chain import Robot
+from aridcal.engine.robot.collisions import Bodies
 from aridcal.engine.rows.dataset import Dataset, with_sigma
 from aridcal.engine.search.loop import fit_constants
 from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.files.campaign import Campaign
-from aridcal.jobs.plan.information import columns_of, expected_rows
-from aridcal.jobs.plan.prior_knowledge import PlanSetup, patterns_of
+from aridcal.jobs.plan.configurations import Candidates, draw_candidates
+from aridcal.jobs.plan.information import TOGETHER_RANK, columns_of, expected_rows
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, from_fit, patterns_of
+from aridcal.jobs.plan.usual_effects import with_stated_effects, with_usual_effects
 from aridcal.system.errors import AridcalError, NotOfThisRobot
+
+POOL, SMALL_POOL = 600, 90
+"""Configurations to choose from: the best of as many is within some per cent of the best of all; and the same where each must be
+sought, as the target must come to a point, so that a row is answered within a second."""
+
+SHOWN_BY, UNTOLD_SHARE = 60, 0.03
+"""Poses of which not one tells anything of a combination of unknowns: all of them move it by less than this share of a sigma, so
+that a thousand times as many would. Where the arm stands is such a one, if nobody knows where any thing is."""
+
+HELD = 1e3
+"""Sigmas of what is expected by which such a combination is held where it is: it is a choice of axes, no error."""
 
 USUAL_SHARE = 0.1
 """Of :data:`REACH_ANGLE` and :data:`REACH_LENGTH`, which are ten times what robots are usually wrong by."""
@@ -58,6 +74,7 @@ class Posterior:
         information: M, shape (D, D).
         pull: g, shape (D,): zero at the fit.
         freedom: Numbers measured beyond those that unknowns took up.
+        poses: Some that can be measured, which show what no row tells; None where rows tell the target's whole pose.
     """
 
     setup: PlanSetup
@@ -65,6 +82,7 @@ class Posterior:
     information: np.ndarray
     pull: np.ndarray
     freedom: float
+    poses: Candidates | None = None
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -81,9 +99,15 @@ class Posterior:
         """Number of unknowns of things."""
         return len(self.information) - len(self.setup.theta)
 
-    def columns(self, rows: Dataset) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (N, m, D) and residuals (N, m) of rows at the last fit, in sigmas."""
-        return columns_of(self.setup, rows)
+    def columns(self, rows: Dataset, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (n, m, D) and residuals (n, m) of measurements at the last fit, in sigmas.
+
+        Args:
+            rows: M of them.
+            of: Measurement that each belongs to, ascending from 0, shape (M,); several: see :func:`together`.
+        """
+        F, r = columns_of(self.setup, rows)
+        return (F, r) if len(of) == of[-1] + 1 else together(F, r, of)
 
     def with_rows(self, F: np.ndarray, r: np.ndarray, sign: float = 1.0) -> Posterior:
         """The posterior with more rows, columns (n, m, D) and residuals (n, m); or without them (sign -1)."""
@@ -95,6 +119,33 @@ class Posterior:
         )
 
 
+def together(F: np.ndarray, r: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the same image as one measurement, by as many numbers as its marks move by together: those of a body.
+
+    What the marks scatter by about that is noise of single marks, and says nothing of the shot.
+
+    Args:
+        F: Columns, shape (M, m, D).
+        r: Residuals, shape (M, m).
+        of: Measurement that each belongs to, ascending from 0, shape (M,).
+
+    Returns:
+        Columns (n, p, D) and residuals (n, p), zero where a measurement has fewer numbers.
+    """
+    D = F.shape[2]
+    parts = []
+    for number in range(int(of[-1]) + 1):
+        flat, error = F[of == number].reshape(-1, D), r[of == number].ravel()
+        U, s, Vt = np.linalg.svd(flat, full_matrices=False)
+        rank = int((s > TOGETHER_RANK * s[0]).sum())
+        parts.append((s[:rank, None] * Vt[:rank], U[:, :rank].T @ error))
+    wide = max(len(error) for _, error in parts)
+    columns, residuals = np.zeros((len(parts), wide, D)), np.zeros((len(parts), wide))
+    for number, (part, error) in enumerate(parts):
+        columns[number, : len(error)], residuals[number, : len(error)] = part, error
+    return columns, residuals
+
+
 def inverse(information: np.ndarray) -> np.ndarray:
     """Inverse of information, shape (D, D), unknowns scaled alike: lengths, turns and pixels differ by orders."""
     scale = 1.0 / np.sqrt(np.diag(information))
@@ -104,22 +155,32 @@ def inverse(information: np.ndarray) -> np.ndarray:
 def expected(setup: PlanSetup) -> np.ndarray:
     """Standard deviation that is expected of each coefficient before any row, shape (K,).
 
-    Frames and instruments may be anywhere within :data:`LOOSE` of where closed forms have them; constants are off by what is
-    usual.
+    Frames and instruments may be anywhere within :data:`UNTOLD_SIGMA` of where closed forms have them; constants are off by
+    what is usual.
     """
-    sizes = setup.model.sizes
-    usual = np.array([_usual(c) for c in setup.model.coefficients]) * sizes
+    sizes, at_things = setup.model.sizes, setup.model.at_things
+    usual = [
+        UNTOLD_SIGMA if of_thing else _usual(c)
+        for c, of_thing in zip(setup.model.coefficients, at_things.tolist(), strict=True)
+    ]
+    usual = np.array(usual) * sizes
     return np.where(np.isfinite(setup.prior), setup.prior, usual)
 
 
 def _usual(c: Coefficient) -> float:
-    """Usual size of a constant of the arm; :data:`LOOSE` of all else."""
+    """Usual size of a constant of the arm; :data:`UNTOLD_SIGMA` of all else."""
     if c.where in MOUNTING_FRAMES or not c.basis.constant or c.component not in _COMPONENTS:
         return UNTOLD_SIGMA
     return USUAL_SHARE * (REACH_ANGLE if c.component in ANGULAR else REACH_LENGTH)
 
 
 _COMPONENTS = ANGULAR | {"x", "y", "z", "a", "d"}
+
+
+def configurations(setup: PlanSetup, rng: np.random.Generator) -> Candidates:
+    """Configurations that can be measured, to choose from."""
+    traits = setup.campaign.measurements.traits
+    return draw_candidates(setup, SMALL_POOL if traits.condition else POOL, 1, rng)
 
 
 def before_rows(setup: PlanSetup) -> Posterior:
@@ -129,16 +190,47 @@ def before_rows(setup: PlanSetup) -> Posterior:
     flat = expected_rows(setup)
     D = flat.shape[1]
     loose = np.diag(1.0 / UNTOLD_SIGMA**2 * np.r_[np.ones(D - len(base)), np.zeros(len(base))])
-    return Posterior(setup, base, flat.T @ flat + loose, np.zeros(D), 0.0)
+    traits = setup.campaign.measurements.traits
+    poses = None if traits.tracked else draw_candidates(setup, SHOWN_BY, 1, np.random.default_rng(0))
+    information = flat.T @ flat + loose
+    return Posterior(setup, base, information + held(setup, poses, information), np.zeros(D), 0.0, poses)
 
 
-def begun(campaign: Campaign, robot: Robot, setup: PlanSetup, rows: Dataset) -> PlanSetup | None:
+def held(setup: PlanSetup, poses: Candidates | None, beforehand: np.ndarray) -> np.ndarray:
+    """Information that holds what no row tells, shape (D, D): axes of the base or of a tip, which nothing defines.
+
+    Without it such combinations count as errors of the target, as large as what is expected of the constants in them.
+
+    Args:
+        setup: K coefficients.
+        poses: Some that can be measured; None: nothing is held.
+        beforehand: Information before any row, shape (D, D).
+    """
+    if poses is None:
+        return np.zeros_like(beforehand)
+    rows = columns_of(setup, poses.rows(setup))[0].reshape(-1, len(beforehand))
+    std = 1.0 / np.sqrt(np.diag(beforehand))
+    things = len(std) - len(setup.theta)
+    stated = expected_rows(setup)
+    rows = np.concatenate([rows, stated[np.any(stated[:, :things] != 0.0, axis=1)]])  # known lengths and places
+    # What stepped at a slip is told by the rows before it, not by those to come.
+    stepped = [things + k for k, c in enumerate(setup.model.coefficients) if c.basis.form == "step"]
+    lasting = np.setdiff1d(np.arange(len(std)), stepped)
+    _, s, Vt = np.linalg.svd(rows[:, lasting] * std[lasting], full_matrices=True)
+    untold = Vt[np.flatnonzero(np.pad(s, (0, len(lasting) - len(s))) < UNTOLD_SHARE)] / std[lasting]
+    information = np.zeros_like(beforehand)
+    information[np.ix_(lasting, lasting)] = HELD**2 * untold.T @ untold
+    return information
+
+
+def begun(campaign: Campaign, robot: Robot, around: Bodies, prior: PlanSetup | None, rows: Dataset) -> PlanSetup | None:
     """The setup with its frames, and what the rows refer to, where closed forms have them; None where rows are too few.
 
     Args:
         campaign: Says which frames are unknown.
         robot: The nominal chain.
-        setup: Before any row.
+        around: Shapes that can touch.
+        prior: Before any row; None where nobody says where all is that rows refer to.
         rows: N of them.
 
     Raises:
@@ -147,35 +239,64 @@ def begun(campaign: Campaign, robot: Robot, setup: PlanSetup, rows: Dataset) -> 
     if len(np.unique(rows.repeats.configuration)) < FEWEST_TO_BEGIN:
         return None
     question = replace(campaign.question, constants="none", effects=(), sought=())
-    frames = [c for c in setup.model.coefficients if c.where in MOUNTING_FRAMES and c.basis.constant]
+    labels = station_labels(question, rows)
+    many = [things for things in rows.instruments.things.values() if things.role.many]
+    unknown = sum(int((things.free & ~np.isfinite(things.std)).sum()) for things in many)
+    unknown += len(frame_coefficients(question, labels, rows)) - len(rows.instruments.ties)
     sizes = np.array([channel.size for channel in rows.channels])
-    if float((rows.measures @ sizes).sum()) < len(frames) + SPARE:
+    if float((rows.measures @ sizes).sum()) < unknown + SPARE:
         return None
     try:
-        geometry = fit_constants(question, robot, rows, station_labels(question, rows)).geometric
+        fitted_frames = fit_constants(question, robot, rows, labels).geometric
     except NotOfThisRobot:
         raise
     except (AridcalError, np.linalg.LinAlgError):  # these rows leave something open: more will not
         return None
-    known = geometry.model
-    others = [k for k, c in enumerate(setup.model.coefficients) if c.name not in set(known.names)]
+    if prior is None:
+        setup = from_fit(campaign, robot, around, fitted_frames, constants(robot, campaign.question.constants), rows)
+        return with_suspects(replace(setup, patterns=_now(setup.patterns)), np.random.default_rng(0))
+    return _with_frames(prior, fitted_frames.model, rows)
+
+
+def with_suspects(setup: PlanSetup, rng: np.random.Generator) -> PlanSetup:
+    """The setup with the effects that the campaign declares; where it declares none, with those that such arms usually have."""
+    candidates = configurations(setup, rng)
+    setup = with_stated_effects(setup, candidates)
+    return setup if setup.campaign.effects else with_usual_effects(setup, candidates)
+
+
+def _with_frames(prior: PlanSetup, known: Model, rows: Dataset) -> PlanSetup:
+    """What was known before any row, with frames and things where rows have them."""
+    others = [k for k, c in enumerate(prior.model.coefficients) if c.name not in set(known.names)]
     # Of frames what these rows do not tell of them stays open, as a slip may be along just that.
     labels = {
         "world_base": {name for name, _ in known.world_base},
         "tip_target": {name for name, _ in known.tip_target},
     }
-    of_frames = [setup.model.coefficients[k] for k in others]
+    of_frames = [prior.model.coefficients[k] for k in others]
     others = [k for k, c in zip(others, of_frames, strict=True) if c.station in labels.get(c.where, {c.station})]
-    coefficients = (*known.coefficients, *(setup.model.coefficients[k] for k in others))
+    coefficients = (*known.coefficients, *(prior.model.coefficients[k] for k in others))
+    around = replace(prior.model.around, sights=known.around.sights)
+    instruments, _ = merged_instruments(known.instruments, prior.model.instruments)
+    states = {
+        role: np.vstack([state, instruments.things[role].start[len(state) :]]) for role, state in known.states.items()
+    }
+    model = replace(known.with_coefficients(coefficients), around=around, instruments=instruments, states=states)
     return replace(
-        setup,
-        model=replace(
-            known.with_coefficients(coefficients), around=replace(setup.model.around, sights=known.around.sights)
-        ),
+        prior,
+        model=model,
         theta=np.zeros(len(coefficients)),
-        prior=np.r_[np.full(len(known.coefficients), np.inf), setup.prior[others]],
-        patterns=_now(patterns_of(rows)),
+        prior=np.r_[np.full(len(known.coefficients), np.inf), prior.prior[others]],
+        patterns=_now(_patterns(prior.patterns, rows)),
     )
+
+
+def _patterns(before: Dataset, rows: Dataset) -> Dataset:
+    """What rows may refer to: all that the campaign says, and what it does not say as soon as a row refers to it."""
+    if rows.blocks[0].traits.tracked:
+        return patterns_of(rows)
+    stated = {tuple(labels) for labels in before.labels.refers.tolist()}
+    return before if {tuple(labels) for labels in rows.labels.refers.tolist()} <= stated else patterns_of(rows)
 
 
 def _now(patterns: Dataset) -> Dataset:
@@ -183,17 +304,15 @@ def _now(patterns: Dataset) -> Dataset:
     return patterns.with_origin(order=np.full(len(patterns), np.inf))
 
 
-def fitted(before: Posterior, rows: Dataset, weight: np.ndarray) -> Posterior:
-    """The posterior of all rows, fitted anew from where it was.
+def fitted(before: Posterior, rows: Dataset) -> Posterior:
+    """The posterior of all rows in use, fitted anew from where it was.
 
     Args:
         before: Its model and values begin; its noise and sizes are improved by one step.
-        rows: All N of them.
-        weight: 1 of rows in use, 0 of others, shape (N,).
+        rows: N of them.
     """
     setup = before.setup
     K = len(setup.theta)
-    rows = rows.select(weight > 0.0)
     in_noise = with_sigma(rows, setup.sigma.tolist())
     things = before.things
     start = setup.theta + before.step[things:]
@@ -212,12 +331,13 @@ def fitted(before: Posterior, rows: Dataset, weight: np.ndarray) -> Posterior:
     F, r = columns_of(setup, rows)
     flat = F.reshape(-1, F.shape[2])
     beforehand = expected_rows(setup)
-    M = flat.T @ flat + beforehand.T @ beforehand
-    things = len(M) - K
-    M[:things, :things] += np.eye(things) / UNTOLD_SIGMA**2
+    stated = beforehand.T @ beforehand
+    things = len(stated) - K
+    stated[:things, :things] += np.eye(things) / UNTOLD_SIGMA**2
+    M = flat.T @ flat + stated + held(setup, before.poses, stated)
     pull = flat.T @ r.ravel()
     pull[things:] -= made.theta / sizes**2
-    return Posterior(setup, before.base, M, pull, max(made.freedom, 0.0))
+    return Posterior(setup, before.base, M, pull, max(made.freedom, 0.0), before.poses)
 
 
 def _sizes(base: np.ndarray, setup: PlanSetup, theta: np.ndarray, variance: np.ndarray) -> np.ndarray:
@@ -229,7 +349,10 @@ def _sizes(base: np.ndarray, setup: PlanSetup, theta: np.ndarray, variance: np.n
     theirs.
     """
     sizes = base.copy()
-    keys = [_group(c) for c in setup.model.coefficients]
+    keys = [
+        "" if of_thing else _group(c)
+        for c, of_thing in zip(setup.model.coefficients, setup.model.at_things.tolist(), strict=True)
+    ]
     for key in dict.fromkeys(keys):
         if key:
             some = np.array([k for k, other in enumerate(keys) if other == key])
@@ -274,4 +397,5 @@ def moved_by(posterior: Posterior, more: Sequence[Coefficient], std: float) -> P
         M,
         np.r_[posterior.pull, np.zeros(len(more))],
         posterior.freedom,
+        posterior.poses,
     )

@@ -11,6 +11,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, MOUNTING_FRAMES, ROW_ORDER, Coefficient
 from aridcal.engine.instruments.channels import columns
 from aridcal.engine.robot.chain import Robot
+from aridcal.engine.robot.collisions import Bodies
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
 from aridcal.files.counting import counting
@@ -22,7 +23,6 @@ from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, beside
 from aridcal.jobs.guide.movement import Moved, moved
 from aridcal.jobs.guide.next_pose import (
     PLACES,
-    POOL,
     Pool,
     best_first,
     drawn,
@@ -33,16 +33,15 @@ from aridcal.jobs.guide.next_pose import (
     told_by,
     worth,
 )
-from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by
-from aridcal.jobs.guide.row_reading import RowsSoFar, rows_so_far
+from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by, with_suspects
+from aridcal.jobs.guide.row_reading import RowsSoFar, no_rows, rows_so_far
 from aridcal.jobs.guide.shown_effects import left_out
 from aridcal.jobs.guide.table_facts import Oddity, in_other_units, not_renewed, oddities, refusal
-from aridcal.jobs.plan.configurations import Candidates, draw_candidates, offers
+from aridcal.jobs.plan.configurations import Candidates, offers
 from aridcal.jobs.plan.information import whitened
-from aridcal.jobs.plan.prior_knowledge import bodies, from_nothing
+from aridcal.jobs.plan.prior_knowledge import NothingStated, bodies, from_nothing
 from aridcal.jobs.plan.target_region import region_readings
-from aridcal.jobs.plan.usual_effects import with_stated_effects, with_usual_effects
-from aridcal.system.errors import CampaignError, NotOfThisRobot
+from aridcal.system.errors import CampaignError, NotOfThisRobot, name_list
 
 WINDOW = 5
 """Rows back to which a slip is looked for: one that is too small for two rows shows within some more."""
@@ -98,8 +97,9 @@ class Session:
         table: Lines so far.
         read: Them as rows.
         good: Which lines are in use, by their index.
-        prior: What was known before any row.
-        region: Readings where the target is to be known, shape (R, columns).
+        around: Shapes that can touch each other.
+        prior: What was known before any row; None where nobody says where all is that rows refer to.
+        region: Readings where the target is to be known, shape (R, columns); none until anything is known.
         rng: Draws configurations.
         posterior: What is known now; None while rows are too few to say where the frames are.
         inflation: By how much rows are off more than predicted.
@@ -123,7 +123,8 @@ class Session:
     table: GrowingTable
     read: RowsSoFar
     good: dict[int, bool]
-    prior: Posterior
+    around: Bodies
+    prior: Posterior | None
     region: np.ndarray
     rng: np.random.Generator
     posterior: Posterior | None = None
@@ -158,14 +159,21 @@ class Session:
             if self.read.rows is None and len(self.table.rows) >= FEW_BAD:
                 raise CampaignError(f"{self.campaign.path}: none of the rows can be used: {self.read.refused[new[0]]}")
             self.suspect = None
-            for k in new:
+            for k in self._heads(new):
                 events += self._row(k)
             events += self._afterwards(new)
             self.rejected = ()
         return [*events, *self._ahead()]
 
+    def _heads(self, new: Sequence[int]) -> list[int]:
+        """Those of new lines that begin a measurement, or are no row: the other rows of an image come with its first."""
+        if not self.campaign.measurements.traits.images:
+            return list(new)
+        within = set(self.read.lines.tolist()) - set(self.read.index.tolist())
+        return [k for k in new if k not in within]
+
     def _row(self, k: int) -> list[Event]:
-        """Judge one line beside all before it."""
+        """Judge the measurement that begins with a line beside all before it."""
         line = self.table.line(k)
         place = np.flatnonzero(self.read.index == k)
         if self.read.rows is None or not len(place):
@@ -186,7 +194,8 @@ class Session:
         slip = [] if self.posterior is None else self._moved(at, rows)
         if slip:  # then the row is good after all
             odd_ones = [odd for odd in odd_ones if odd.what != "outlier"]
-        events: list[Event] = [RowRead(line, self.good[k], tuple(odd.words for odd in odd_ones))]
+        count = len(self.read.lines_of(at)) if self.campaign.measurements.traits.images else 1
+        events: list[Event] = [RowRead(line, self.good[k], tuple(odd.words for odd in odd_ones), count)]
         events += [Alarm(line, odd.what, odd.words, odd.do) for odd in odd_ones]
         events += slip
         if self.posterior is None:
@@ -198,10 +207,9 @@ class Session:
     def _beside_others(self, k: int, at: int, rows: Dataset) -> list[Oddity]:
         """Judge a row by its residual."""
         assert self.posterior is not None
-        row = rows.select(np.array([at]))
-        if not self._knows(row).all():
+        if not self._knows()[at]:
             return []  # a label that is new: the model begins anew with it
-        F, r = self.posterior.columns(row)
+        F, r = self._columns(np.array([at]))
         judged = verdict(self.posterior, F[0], r[0], self.inflation)
         if not judged.off:
             self._add(F, r, judged)
@@ -209,8 +217,8 @@ class Session:
         if self._begun_wrong(k):
             return []
         line = self.table.line(k)
-        for words, other in in_other_units(rows, at):
-            G, s = self.posterior.columns(other)
+        for words, other in in_other_units(rows, at) if self._places else ():
+            G, s = self.posterior.columns(other, np.arange(len(other)))
             if verdict(self.posterior, G[0], s[0], self.inflation).probability > TURN_BACK:
                 return [
                     Oddity(
@@ -220,7 +228,7 @@ class Session:
                         True,
                     )
                 ]
-        stale = not_renewed(rows, at, self.posterior.setup.sigma)
+        stale = not_renewed(rows, at, self.posterior.setup.sigma) if self._places else ""
         if stale:
             return [
                 Oddity(
@@ -241,19 +249,28 @@ class Session:
         )
         return [Oddity("outlier", f"row {line} is off by {self._size(judged)}", do, True)]
 
+    @property
+    def _places(self) -> bool:
+        """Whether rows measure the target's own place."""
+        return self.campaign.measurements.traits.places
+
+    def _columns(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and residuals of some measurements at the last fit, in sigmas; see :meth:`Posterior.columns`."""
+        assert self.posterior is not None
+        return self.posterior.columns(*self.read.some(numbers))
+
     def _begun_wrong(self, k: int) -> bool:
         """Whether frames sought again with an early row explain it and all before it; they are then gone on with."""
         before, rows_of_fit, good = self.posterior, self.fitted_rows, dict(self.good)
         used = [j for j, is_good in self.good.items() if is_good or j in self.off]
         assert before is not None
-        if len(used) * sum(channel.size for channel in before.setup.patterns.channels) > YOUNG or self.slips:
+        if len(used) * self._numbers > YOUNG or self.slips:
             return False
         self.good = good | dict.fromkeys([*used, k], True)
         self.posterior = None
         self._begin(0)
         if self.posterior is not None:
-            rows, weight = self._in_use()
-            F, r = self.posterior.columns(rows.select(weight > 0.0))
+            F, r = self._columns(self._in_use())
             if beside_others(self.posterior, F, r, self.inflation).min() > FALSE_ALARM:
                 self.off -= {*used, k}
                 return True
@@ -264,20 +281,62 @@ class Session:
         """Let a good row count."""
         assert self.posterior is not None
         self.inflation = self.inflation.with_row(judged)
-        first = columns(self.posterior.setup.patterns.channels)[0]
-        measured = np.any(F[0] != 0.0, axis=1)
-        if measured[first].all() and len(judged.error) >= first.stop:
-            sigma = self.posterior.setup.sigma[0]
-            variance = np.diag(judged.spread)[first] / self.inflation.variance * sigma**2
-            self.beside = self.beside.with_row(judged.error[first] * sigma, variance, FORGETS)
+        off = self._off(F, judged)
+        if off is not None:
+            self.beside = self.beside.with_row(*off, FORGETS)
         self.posterior = self.posterior.with_rows(F, r)
+
+    @property
+    def _numbers(self) -> int:
+        """Numbers that a measurement tells of where the target is: of an image those of a body."""
+        assert self.posterior is not None
+        if self.campaign.measurements.traits.images:
+            return len(FRAME_COMPONENTS)
+        return sum(channel.size for channel in self.posterior.setup.patterns.channels)
+
+    def _off(self, F: np.ndarray, judged: Verdict) -> tuple[np.ndarray, np.ndarray] | None:
+        """By how much a row was off at the target, [m] along each axis, and the variances of that; None if not told."""
+        assert self.posterior is not None
+        setup = self.posterior.setup
+        spread = judged.spread / self.inflation.variance
+        if self.campaign.measurements.traits.images:
+            G = self._as_if_moved(F[0])
+            if G is None:
+                return None
+            G = G[np.any(F[0] != 0.0, axis=1)]
+            solve = np.linalg.pinv(G)
+            return (solve @ judged.error)[:3], np.diag(solve @ spread @ solve.T)[:3]
+        first = columns(setup.patterns.channels)[0]
+        measured = np.any(F[0] != 0.0, axis=1)
+        if not measured[first].all() or len(judged.error) < first.stop:
+            return None
+        sigma = setup.sigma[0]
+        return judged.error[first] * sigma, np.diag(spread)[first] * sigma**2
+
+    def _as_if_moved(self, F: np.ndarray) -> np.ndarray | None:
+        """Columns of an image, F (p, D), as if camera, board or the last joint were elsewhere, shape (p, 6)."""
+        assert self.posterior is not None
+        names = self.posterior.setup.model.names
+        for where in (*self._frames(), *reversed(self.robot.names)):
+            some = [self.posterior.things + names.index(n) for c in FRAME_COMPONENTS if (n := f"{where}.{c}") in names]
+            if len(some) == len(FRAME_COMPONENTS):
+                return F[:, some]
+        return None
+
+    def _frames(self) -> tuple[str, ...]:
+        """What may slip: the frames of every campaign, and cameras and boards."""
+        assert self.posterior is not None
+        things = self.posterior.setup.model.instruments.things.values()
+        return (*MOUNTING_FRAMES, *(name for t in things if not t.role.many for name in t.names))
 
     def _size(self, judged: Verdict) -> str:
         """How far off a row is, in words."""
         assert self.posterior is not None
         channels = self.posterior.setup.patterns.channels
         parts = []
-        if len(judged.error) == sum(channel.size for channel in channels):
+        if not self.campaign.measurements.traits.images and len(judged.error) == sum(
+            channel.size for channel in channels
+        ):
             for channel, part, sigma in zip(channels, columns(channels), self.posterior.setup.sigma, strict=True):
                 parts.append(f"{np.linalg.norm(judged.error[part]) * sigma * channel.scale:.3g} {channel.shown}")
         return f"{', '.join(parts)}, {judged.sigmas:.1f} sigma".lstrip(", ")
@@ -287,8 +346,8 @@ class Session:
         earlier = [j for j in range(at) if self.good.get(int(self.read.index[j]))]
         earlier.sort(key=lambda j: float(np.abs(rows.readings[j] - rows.readings[at]).max()))
         now = self._now()
-        for j in earlier[:WITNESSES]:
-            if reaches(now, rows.readings[at], rows.readings[j], 0):
+        for j in earlier[:WITNESSES] if now is not None else []:
+            if now is not None and reaches(now, rows.readings[at], rows.readings[j], 0):
                 return int(self.read.index[j])
         return None
 
@@ -297,11 +356,11 @@ class Session:
         assert self.posterior is not None
         setup, things = self.posterior.setup, self.posterior.things
         judged = [j for j in range(max(0, at - WINDOW + 1), at + 1) if self._judges(int(self.read.index[j]))]
-        judged = [j for j, known in zip(judged, self._knows(rows)[judged], strict=True) if known]
+        judged = [j for j, known in zip(judged, self._knows()[judged], strict=True) if known]
         if len(judged) < 2 or all(self.good[int(self.read.index[j])] for j in judged):
             return []
         names = setup.model.names
-        F, r = self.posterior.columns(rows.select(np.array(judged)))
+        F, r = self._columns(np.array(judged))
         found: list[Moved] = []
         before = self.posterior
         in_use = [self.good[int(self.read.index[j])] for j in judged]
@@ -316,7 +375,7 @@ class Session:
             error = residual - flat @ before.step
             spread = self.inflation.variance * (np.eye(len(error)) + flat @ before.covariance @ flat.T)
             by_frame = {}
-            for where in MOUNTING_FRAMES:
+            for where in self._frames():
                 some = [things + names.index(f"{where}.{c}") for c in FRAME_COMPONENTS if f"{where}.{c}" in names]
                 if some:
                     by_frame[where] = flat[:, some]
@@ -347,7 +406,7 @@ class Session:
         self.suspect = None
         self._fit()
         words = {"world_base": "the tripod (or the robot's base)", "tip_target": "the target"}
-        names = " or ".join(words[where] for where in best.frames)
+        names = " or ".join(words.get(where, where.replace("_", " ")) for where in best.frames)
         return [
             Alarm(
                 line,
@@ -362,13 +421,15 @@ class Session:
         """Whether a line says anything of slips: it is good, or off for no other reason."""
         return self.good.get(k, False) or k in self.off
 
-    def serves(self, k: int) -> bool:
-        """Whether a line is a row for the full search, which judges by itself which rows are outliers."""
-        return self._judges(k)
+    def serving(self) -> list[int]:
+        """Lines that are rows for the full search, which judges by itself which rows are outliers."""
+        heads = self.read.index[self.read.of].tolist()
+        return [k for k, head in zip(self.read.lines.tolist(), heads, strict=True) if self._judges(head)]
 
-    def _knows(self, rows: Dataset) -> np.ndarray:
-        """Rows of which the model knows all that they refer to, shape (n,) bool."""
-        assert self.posterior is not None
+    def _knows(self) -> np.ndarray:
+        """Measurements of which the model knows all that they refer to, shape (n,) bool."""
+        rows = self.read.every
+        assert self.posterior is not None and rows is not None
         model = self.posterior.setup.model
         knows = np.ones(len(rows), dtype=bool)
         if rows.labels.target is not None:
@@ -377,28 +438,31 @@ class Session:
             things = model.instruments.things.get(role.name)
             if things is not None:
                 knows &= np.isin(rows.labels.refers[:, k], ["", *things.names])
-        return knows
+        return np.asarray(np.bincount(self.read.of, ~knows) == 0)
 
     # -- fits ---------------------------------------------------------------------------------------------------------------
 
-    def _in_use(self) -> tuple[Dataset, np.ndarray]:
-        """All rows, and the weight of each."""
-        assert self.read.rows is not None
-        return self.read.rows, np.array([float(self.good.get(int(k), False)) for k in self.read.index])
+    def _in_use(self) -> np.ndarray:
+        """Numbers of the measurements in use that the model knows."""
+        good = np.array([self.good.get(int(k), False) for k in self.read.index], dtype=bool)
+        return np.flatnonzero(good if self.posterior is None else good & self._knows())
 
     def _begin(self, line: int) -> list[Event]:
         """Find frames and things from the rows so far, if they are enough."""
-        if self.read.rows is None:
+        some = self._in_use()
+        if not len(some):
             return []
-        rows, weight = self._in_use()
-        rows, weight = rows.select(weight > 0.0), weight[weight > 0.0]
+        rows, _ = self.read.some(some)
+        prior = None if self.prior is None else self.prior.setup
         try:
-            setup = begun(self.campaign, self.robot, self.prior.setup, rows) if len(rows) else None
+            setup = begun(self.campaign, self.robot, self.around, prior, rows)
         except NotOfThisRobot as error:
-            if len(rows) < FEW_STRANGE:
+            if len(some) < FEW_STRANGE:
                 return []
             return [Alarm(line, "robot", str(error), "check the campaign, or let `aridcal init` read this table")]
         if setup is not None:
+            if not len(self.region):
+                self.region = region_readings(setup, None, self.rng)[:PLACES]
             self.posterior = before_rows(setup)
             self._fit()
             self._fit()  # in the noise and the sizes that the first one suggests
@@ -407,16 +471,17 @@ class Session:
     def _fit(self) -> None:
         """Fit all rows in use anew."""
         assert self.posterior is not None
-        rows, weight = self._in_use()
-        self.posterior = fitted(self.posterior, rows, weight * self._knows(rows))
-        self.fitted_rows = int(weight.sum())
+        some = self._in_use()
+        self.posterior = fitted(self.posterior, self.read.some(some)[0])
+        self.fitted_rows = len(some)
 
     def _afterwards(self, new: Sequence[int]) -> list[Event]:
         """Fit anew after a batch, and look at earlier rows again."""
         if self.posterior is None:
             return []
-        rows, weight = self._in_use()
-        if (~self._knows(rows) & (weight > 0.0)).any():  # with what is new the model begins anew
+        if any(
+            self.good.get(int(k)) for k in self.read.index[~self._knows()]
+        ):  # with what is new the model begins anew
             before, self.posterior = self.posterior, None
             self._begin(0)
             self.posterior = self.posterior or before
@@ -426,12 +491,11 @@ class Session:
     def _belated(self, new: set[int]) -> list[Event]:
         """Rows that turn out bad beside those after them, and rows that turn out good."""
         assert self.posterior is not None
-        rows, weight = self._in_use()
-        places = np.flatnonzero(self._knows(rows))
-        used = places[weight[places] > 0.0]
+        used = self._in_use()
+        places = np.setdiff1d(np.flatnonzero(self._knows()), used)
         events: list[Event] = []
         changed = False
-        F, r = self.posterior.columns(rows.select(used))
+        F, r = self._columns(used)
         probability = beside_others(self.posterior, F, r, self.inflation)
         worst = int(np.argmin(probability)) if len(used) else 0
         if len(used) and probability[worst] < BELATED:
@@ -448,10 +512,10 @@ class Session:
                     f"it is left out; measure row {line} again",
                 )
             )
-        for j in places[weight[places] == 0.0].tolist():
+        for j in places.tolist():
             k = int(self.read.index[j])
             if k in self.off and k not in new:
-                F, r = self.posterior.columns(rows.select(np.array([j])))
+                F, r = self._columns(np.array([j]))
                 if verdict(self.posterior, F[0], r[0], self.inflation).probability > TURN_BACK:
                     self.good[k], changed = True, True
                     self.off.discard(k)
@@ -495,13 +559,28 @@ class Session:
         known = self.known()
         if self.posterior is not None:
             events.append(known)
-        some = self._pool()
+        now = self._now()
+        if now is None:
+            return [*events, self._anywhere()]
+        some = self._pool(now)
         if self.posterior is not None and self.suspect is None:
             enough = self._enough(known, some)
             if enough:
                 self.stopped = True
                 return [*events, Stop(*enough, known, self.checks())]
-        return [*events, self._next(some)]
+        return [*events, self._next(now, some)]
+
+    def _anywhere(self) -> Next:
+        """What to measure while nobody knows where anything is: the user's own choice of pose."""
+        what = {
+            "point": "the target in a point, each point in three poses",
+            "pixels": "an image that shows the markers",
+        }.get(self.campaign.measurements.kind, "a row")
+        return Next(
+            {},
+            f"bring the arm there yourself, as nobody says yet where things are: measure {what}, turned about all axes and far "
+            "from the last; poses are proposed once rows tell where things are",
+        )
 
     def _enough(self, known: Known, some: Pool) -> tuple[Why, str] | None:
         """Why it is enough, if it is."""
@@ -536,19 +615,17 @@ class Session:
             self.rejected = (*self.rejected, self.proposed)
         self.suspect = None
         self.repeated_at = sum(self.good.values())
-        return [self._next(self._pool())]
+        now = self._now()
+        return [self._anywhere() if now is None else self._next(now, self._pool(now))]
 
-    def _now(self) -> Posterior:
-        """What is known; until frames are, where the poses so far were measured tells what they are worth."""
-        if self.posterior is not None or self.read.rows is None:
+    def _now(self) -> Posterior | None:
+        """What is known, if anything; until frames are, where the poses so far were measured tells what they are worth."""
+        if self.posterior is not None or self.read.rows is None or self.prior is None:
             return self.posterior or self.prior
-        rows, weight = self._in_use()
-        readings = rows.readings[weight > 0.0]
+        rows, some = self.read.rows, self._in_use()
+        readings = rows.readings[some]
         titles = offers(self.prior.setup)
-        of = [
-            next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0)
-            for j in np.flatnonzero(weight).tolist()
-        ]
+        of = [next((n for n, t in enumerate(titles.titles) if self._is_of(rows, j, t)), 0) for j in some.tolist()]
         patterns = [titles.patterns[n] for n in of]
         measured = Candidates(
             readings,
@@ -567,9 +644,8 @@ class Session:
         target = [] if rows.labels.target is None else [str(rows.labels.target[j])]
         return set(title.values()) <= {*rows.labels.refers[j].tolist(), *target}
 
-    def _pool(self) -> Pool:
+    def _pool(self, now: Posterior) -> Pool:
         """Configurations to choose from."""
-        now = self._now()
         count = len(self.table.rows)
         if (
             self.candidates is None
@@ -581,9 +657,9 @@ class Session:
             self.drawn_with = self.posterior is not None
         return pool(now, self.candidates, self.region, self.here())
 
-    def _next(self, some: Pool) -> Next:
+    def _next(self, now: Posterior, some: Pool) -> Next:
         """The pose to measure next."""
-        now, rows, here = self._now(), self.read.rows, self.here()
+        rows, here = self.read.rows, self.here()
         if self.suspect is not None and rows is not None:
             at = int(np.flatnonzero(self.read.index == self.suspect)[0])
             again = self._witness(at, rows)
@@ -599,7 +675,7 @@ class Session:
             )
             return self._said(rows.readings[repeat], why, self._labels_of(rows, repeat))
         gain = worth(some, now)
-        gain = np.where(self._wanted(some), gain, gain - 1.0)
+        gain = np.where(self._wanted(now, some), gain, gain - 1.0)
         titles = offers(now.setup).titles
         order = best_first(some, gain, now, here, self.rejected)
         k, unseen = next(order, None), ""
@@ -609,14 +685,14 @@ class Session:
         if k is None:
             self.rejected = ()
             self.candidates = None
-            return self._next(self._pool())
+            return self._next(now, self._pool(now))
         places = " and ".join(told_by(some, k, now))
         why = f"makes the target {100 * float(max(worth(some, now)[k], 0.0)):.2g} % better known; tells most of {places}{unseen}"
         return self._said(some.candidates.readings[k], why, titles[int(some.candidates.offer[k])])
 
-    def _wanted(self, some: Pool) -> np.ndarray:
+    def _wanted(self, now: Posterior, some: Pool) -> np.ndarray:
         """Configurations of things that fewest rows are of, until the model begins, shape (C,) bool."""
-        titles = offers((self.posterior or self.prior).setup).titles
+        titles = offers(now.setup).titles
         every = np.ones(len(some.candidates.readings), dtype=bool)
         rows = self.read.rows
         if self.posterior is not None or len(titles) < 2 or rows is None:
@@ -648,7 +724,8 @@ class Session:
 
     def _labels_of(self, rows: Dataset, j: int) -> Mapping[str, str]:
         """What a row measured, by column, where there are several things."""
-        titles = offers((self.posterior or self.prior).setup).titles
+        now = self._now()
+        titles = () if now is None else offers(now.setup).titles
         return next((title for title in titles if title and self._is_of(rows, j, title)), {})
 
     def _said(self, readings: np.ndarray, why: str, labels: Mapping[str, str]) -> Next:
@@ -696,6 +773,10 @@ FEW_STRANGE = 8
 """Rows from which it is told that they are not of this robot: a bad one among three looks like that."""
 
 
+GUIDED_KINDS = ("pose", "position", "point", "pixels")
+"""Kinds of measurements that are guided."""
+
+
 def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Session:
     """The session of a campaign before any row.
 
@@ -711,20 +792,22 @@ def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Sessio
         raise CampaignError(
             f"{campaign.path}: measurements: one table is followed while it grows; write a campaign with one block and one file"
         )
-    if not campaign.measurements.traits.tracked:
+    if campaign.measurements.kind not in GUIDED_KINDS:
         raise CampaignError(
-            f"{campaign.path}: measurements.kind: led are `kind: pose` and `kind: position`; plan others with `aridcal design`, "
+            f"{campaign.path}: measurements.kind: guided are {name_list(GUIDED_KINDS)}; plan others with `aridcal design`, "
             "measure, and run `aridcal identify` now and then"
         )
     rng = np.random.default_rng(0)
-    setup = from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
-    candidates = draw_candidates(setup, POOL, 1, rng)
-    setup = with_stated_effects(setup, candidates)
-    if not campaign.effects:
-        setup = with_usual_effects(setup, candidates)
-    region = region_readings(setup, None, rng)[:PLACES]
-    setup = replace(setup, patterns=setup.patterns.with_origin(order=np.full(len(setup.patterns), np.inf)))
+    around = bodies(campaign.design.keep_out or (), robot)
+    try:
+        setup = from_nothing(campaign, robot, around)
+    except NothingStated:
+        prior, region = None, np.zeros((0, len(robot.readings)))
+    else:
+        setup = with_suspects(setup, rng)
+        region = region_readings(setup, None, rng)[:PLACES]
+        setup = replace(setup, patterns=setup.patterns.with_origin(order=np.full(len(setup.patterns), np.inf)))
+        prior = before_rows(setup)
     dialect = campaign.measurements.table.dialect
     table = GrowingTable(dialect.begins, dialect.comment)
-    nothing = RowsSoFar(None, np.zeros(0, dtype=int), {})
-    return Session(campaign, robot, tolerance, table, nothing, {}, before_rows(setup), region, rng)
+    return Session(campaign, robot, tolerance, table, no_rows({}), {}, around, prior, region, rng)

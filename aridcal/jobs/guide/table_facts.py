@@ -84,7 +84,7 @@ def oddities(rows: Dataset, k: int, lines: np.ndarray, usable: np.ndarray) -> It
             "check its name; if it is new, measure it in three poses at the least",
             False,
         )
-    if usable[:k].any() and not rows.repeats.stale[k]:
+    if rows.blocks[0].traits.places and usable[:k].any() and not rows.repeats.stale[k]:
         size = np.linalg.norm(rows.position, axis=1)
         before = size[:k][usable[:k]]
         if size[k] > GROSS * before.max() or size[k] * GROSS < before.min():

@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.sights import Sights
 from aridcal.engine.fit.constants import constants, frame_coefficients, frame_labels, station_labels
-from aridcal.engine.fit.least_squares import FIRST_NOISE
+from aridcal.engine.fit.least_squares import FIRST_NOISE, Fit
 from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import TIP, Block, Instruments
 from aridcal.engine.inverse.reachable import draw_readings
@@ -65,6 +65,10 @@ POSTURES_FOR_OVERLAPS = 200
 
 OFFSET = 3
 """Component of an anchor that may be anything: zero as long as nobody says more."""
+
+
+class NothingStated(CampaignError):
+    """Nobody says where the things are that rows refer to, and no row tells it yet."""
 
 
 @dataclass(frozen=True)
@@ -189,28 +193,48 @@ def _from_rows(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progr
         fit = fit_arm(question.without_search(), geometry, rows, progress).diagnosed.fit
     fitted = set(fit.model.names)
     to_identify = tuple(c for c in geometry.geometric.candidates if c.name not in fitted)
-    model = fit.model.with_coefficients((*fit.model.coefficients, *to_identify))
     notices = []
     if len(campaign.blocks) > 1:
         notices.append(f"planned are rows of the first block, {campaign.measurements.title}")
     if rows.labels.station is not None and labels:
         notices.append(f"planned are rows at the station of the last row, {rows.labels.station[rows.as_read[-1]]}")
-    patterns = patterns_of(rows)
+    setup = from_fit(campaign, robot, bodies, fit, to_identify, rows)
     if campaign.measurements.links is not None:
-        notices.append(GRASP_NOTICE.format(*campaign.measurements.links, patterns.labels.refers[0, 0]))
+        notices.append(GRASP_NOTICE.format(*campaign.measurements.links, setup.patterns.labels.refers[0, 0]))
+    return replace(setup, rows=rows.fitted, weight=fit.weight, notices=(*notices, *setup.notices))
+
+
+def from_fit(
+    campaign: Campaign,
+    robot: Robot,
+    bodies: Bodies,
+    fit: Fit,
+    to_identify: tuple[Coefficient, ...],
+    rows: Dataset,
+) -> PlanSetup:
+    """The setup about a fit, before its rows count.
+
+    Args:
+        campaign: What is to be measured.
+        robot: The nominal chain.
+        bodies: Shapes that can touch.
+        fit: Of frames and things at the least.
+        to_identify: What else may be identified.
+        rows: What new rows may refer to.
+    """
     return PlanSetup(
         campaign=campaign,
         robot=robot,
-        model=model,
+        model=fit.model.with_coefficients((*fit.model.coefficients, *to_identify)),
         theta=np.concatenate([fit.theta, np.zeros(len(to_identify))]),
         prior=np.full(len(fit.theta) + len(to_identify), np.inf),
         sigma=fit.sigma,
-        rows=rows.fitted,
-        weight=fit.weight,
-        patterns=patterns,
+        rows=rows.select(np.zeros(0, dtype=int)),
+        weight=np.zeros(0),
+        patterns=patterns_of(rows),
         bodies=bodies,
         side=_side(campaign, robot, rows.readings),
-        notices=(*notices, *bodies.unread, *_shape_notices(robot, bodies)),
+        notices=(*bodies.unread, *_shape_notices(robot, bodies)),
     )
 
 
@@ -370,10 +394,10 @@ def _with_known_places(instruments: Instruments, campaign: Campaign) -> Instrume
     return replace(instruments, things=things)
 
 
-def _nothing_said(campaign: Campaign) -> CampaignError:
+def _nothing_said(campaign: Campaign) -> NothingStated:
     """The error where rows would refer to things whose places are not known."""
     kind = campaign.measurements.kind
-    return CampaignError(
+    return NothingStated(
         f"{campaign.path}: instruments: nothing was measured yet, and it is not said where all is that `kind: {kind}` refers "
         f"to; say nearly where: `{KEYS_OF_PLACES[kind]}`"
     )

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import aridcal
+from aridcal.engine.model.model import Model
 from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.files.yaml_file import load_settings
 from aridcal.guide import main
@@ -26,6 +27,7 @@ from aridcal.jobs.guide.judgement import beside_others, exceeded
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.simulate.live import LiveArm, live_arm
 from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate
 from aridcal.runs.guide_server import Board, GuideServer
 from aridcal.runs.guided_campaign import Incoming
 
@@ -201,7 +203,7 @@ def test_a_row_that_is_left_out_is_as_far_off_as_a_fit_without_it_says(tmp_path:
     led(now, cell, 10)
     assert now.posterior is not None
     assert now.read.rows is not None
-    F, r = now.posterior.columns(now.read.rows)
+    F, r = now.posterior.columns(*now.read.some(np.arange(len(now.read.rows))))
     r[[0, 5]] += 5.0  # sigmas: clearly off
     together = beside_others(now.posterior, F, r, now.inflation)
     for k in (0, 5):
@@ -312,3 +314,37 @@ def test_the_page_serves_this_computer_only_and_takes_two_words(tmp_path: Path) 
     while not words and time.monotonic() < deadline:
         words = incoming.waiting()
     assert words == ["reject"]
+
+
+SOCKETS = """format: 1
+robot: {urdf: scara.urdf, tip: tool}
+measurements: {kind: point, noise: {position: 5.0e-5}}
+frames: {tip_target: {xyz: [0.05, 0.02, -0.03], rpy: [0, 0, 0]}}
+"""
+
+
+def test_points_of_which_nobody_says_where_they_are_are_found_and_then_proposed(tmp_path: Path) -> None:
+    """Touches by hand at first; then each pose that is proposed holds the ball within 3 mm of where the socket is."""
+    (tmp_path / "scara.urdf").write_text(SCARA)
+    (tmp_path / "campaign.yaml").write_text(SOCKETS.replace("kind: point", "file: measurements.csv, kind: point"))
+    sockets = "{a: [0.4, 0.2, 0.25], b: [0.3, -0.3, 0.2], c: [0.45, 0.1, 0.3]}"
+    truth = f"truth: {{n: 24, seed: 1, noise: {{position: 5.0e-5}}, instruments: {{points: {sockets}}}}}\n"
+    (tmp_path / "scenario.yaml").write_text(SOCKETS + truth)
+    simulation = simulate(load_settings(tmp_path / "scenario.yaml", Scenario))
+    head, *lines = simulation.measurements.to_csv(index=False).encode().splitlines()
+    now = begun(tmp_path)
+    first = now.taken([])[-1]
+    assert isinstance(first, Next)
+    assert not first.joints
+    now.table.add(head)
+    said: list[Event] = []
+    for line in lines:
+        said += now.taken(now.table.add(line))
+    proposed = [event for event in said if isinstance(event, Next) and event.joints]
+    assert alarms(said) == []
+    assert proposed
+    real = dict(zip(simulation.real["point"].names, simulation.real["point"].states, strict=True))
+    model = Model(now.robot, (), tip_target=((None, simulation.frames["tip_target"]),))
+    for pose in proposed:
+        _, p = model.poses(np.zeros(0), model.rows(np.array([[*pose.joints.values()]])))
+        assert np.linalg.norm(p[0] - real[pose.labels["point"]]) < 3e-3
