@@ -19,8 +19,8 @@ FULL, URDF_ALONE, MAPS, OFFSETS, REGIONS = (
 STAGES = {FULL: "final", URDF_ALONE: "geometric"}
 """Of `result.json`: the stage whose error that is."""
 
-STATED = "kinematics.yaml"
-"""A file of every result folder whose comment states the error of each."""
+STATED = ("kinematics.yaml", "doty.yaml", "joint_offsets.yaml")
+"""Files of result folders whose comments state the error of each; which there are hangs on the robot."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,9 @@ def remaining(receiver: Receiver, folder: Path, result: Mapping[str, Any] | None
 
 def _stated(folder: Path) -> dict[str, str]:
     """Errors as the comment of an exported file states them: `All exports: nominal 1.15 mm, URDF alone 0.44, ...`."""
+    there = [folder / name for name in STATED if (folder / name).is_file()]
     try:
-        text = read_file(folder / STATED, OutputError, CALIBRATION).decode("utf-8")
+        text = read_file(there[0], OutputError, CALIBRATION).decode("utf-8") if there else ""
     except (OutputError, ValueError):
         return {}
     line = re.search(r"^# All exports: nominal [\d.]+ (\S+), (.*)\.$", text, re.MULTILINE)

@@ -41,7 +41,7 @@ from aridcal.jobs.plan.configurations import Candidates, offers
 from aridcal.jobs.plan.information import whitened
 from aridcal.jobs.plan.prior_knowledge import NothingStated, bodies, from_nothing
 from aridcal.jobs.plan.target_region import region_readings
-from aridcal.system.errors import CampaignError, NotOfThisRobot, name_list
+from aridcal.system.errors import CampaignError, NotOfThisRobot
 
 WINDOW = 5
 """Rows back to which a slip is looked for: one that is too small for two rows shows within some more."""
@@ -572,10 +572,10 @@ class Session:
 
     def _anywhere(self) -> Next:
         """What to measure while nobody knows where anything is: the user's own choice of pose."""
-        what = {
-            "point": "the target in a point, each point in three poses",
-            "pixels": "an image that shows the markers",
-        }.get(self.campaign.measurements.kind, "a row")
+        traits = self.campaign.measurements.traits
+        what = (
+            "the target in a point, each point in three poses" if traits.touches else "an image that shows the markers"
+        )
         return Next(
             {},
             f"bring the arm there yourself, as nobody says yet where things are: measure {what}, turned about all axes and far "
@@ -773,10 +773,6 @@ FEW_STRANGE = 8
 """Rows from which it is told that they are not of this robot: a bad one among three looks like that."""
 
 
-GUIDED_KINDS = ("pose", "position", "point", "pixels")
-"""Kinds of measurements that are guided."""
-
-
 def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Session:
     """The session of a campaign before any row.
 
@@ -792,10 +788,11 @@ def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Sessio
         raise CampaignError(
             f"{campaign.path}: measurements: one table is followed while it grows; write a campaign with one block and one file"
         )
-    if campaign.measurements.kind not in GUIDED_KINDS:
+    traits = campaign.measurements.traits
+    if not (traits.tracked or traits.touches or traits.images):
         raise CampaignError(
-            f"{campaign.path}: measurements.kind: guided are {name_list(GUIDED_KINDS)}; plan others with `aridcal design`, "
-            "measure, and run `aridcal identify` now and then"
+            f"{campaign.path}: measurements.kind: poses, positions, touches of points and images of markers are guided; plan "
+            "others with `aridcal design`, measure, and run `aridcal identify` now and then"
         )
     rng = np.random.default_rng(0)
     around = bodies(campaign.design.keep_out or (), robot)
