@@ -789,10 +789,11 @@ def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Sessio
             f"{campaign.path}: measurements: one table is followed while it grows; write a campaign with one block and one file"
         )
     traits = campaign.measurements.traits
-    if not (traits.tracked or traits.touches or traits.images):
+    # Not images: what is said to be known from them was never found to hold against the truth.
+    if not (traits.tracked or traits.touches):
         raise CampaignError(
-            f"{campaign.path}: measurements.kind: poses, positions, touches of points and images of markers are guided; plan "
-            "others with `aridcal design`, measure, and run `aridcal identify` now and then"
+            f"{campaign.path}: measurements.kind: poses, positions and touches of points are guided; plan others with "
+            "`aridcal design`, measure, and run `aridcal identify` now and then"
         )
     rng = np.random.default_rng(0)
     around = bodies(campaign.design.keep_out or (), robot)
