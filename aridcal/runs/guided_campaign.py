@@ -84,7 +84,6 @@ def followed(
     """
     (path,) = session.campaign.measurements.files
     seen: tuple[int, ...] = ()
-    stamp: tuple[int, ...] = ()
     from_input = ended = False
     first = True
     while True:
@@ -97,9 +96,8 @@ def followed(
             elif line.strip():
                 _append(path, line)
                 from_input = True
-        stamp, looked = _stamp(path), stamp
-        growing = session.campaign.measurements.traits.images and stamp != looked  # half an image, perhaps
-        if stamp != seen and not growing:
+        stamp = _stamp(path)
+        if stamp != seen:
             content = content_of(path, session.campaign.limits.table)
             new = session.table.take(content) if content is not None else []
             if content is not None:
@@ -113,7 +111,7 @@ def followed(
         for command in commands:
             if not session.stopped:
                 yield session.reject() if command == REJECT else session.asked()
-        if ended and not growing and not session.stopped:
+        if ended and not session.stopped:
             yield session.asked()
         if session.stopped:
             return

@@ -31,7 +31,7 @@ from aridcal.engine.search.loop import fit_constants
 from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.files.campaign import Campaign
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates
-from aridcal.jobs.plan.information import TOGETHER_RANK, columns_of, expected_rows
+from aridcal.jobs.plan.information import columns_of, expected_rows
 from aridcal.jobs.plan.prior_knowledge import PlanSetup, from_fit, patterns_of
 from aridcal.jobs.plan.usual_effects import with_stated_effects, with_usual_effects
 from aridcal.system.errors import AridcalError, NotOfThisRobot
@@ -99,15 +99,9 @@ class Posterior:
         """Number of unknowns of things."""
         return len(self.information) - len(self.setup.theta)
 
-    def columns(self, rows: Dataset, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (n, m, D) and residuals (n, m) of measurements at the last fit, in sigmas.
-
-        Args:
-            rows: M of them.
-            of: Measurement that each belongs to, ascending from 0, shape (M,); several: see :func:`together`.
-        """
-        F, r = columns_of(self.setup, rows)
-        return (F, r) if len(of) == of[-1] + 1 else together(F, r, of)
+    def columns(self, rows: Dataset) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (N, m, D) and residuals (N, m) of rows at the last fit, in sigmas."""
+        return columns_of(self.setup, rows)
 
     def with_rows(self, F: np.ndarray, r: np.ndarray, sign: float = 1.0) -> Posterior:
         """The posterior with more rows, columns (n, m, D) and residuals (n, m); or without them (sign -1)."""
@@ -117,33 +111,6 @@ class Posterior:
             information=self.information + sign * flat.T @ flat,
             pull=self.pull + sign * flat.T @ r.ravel(),
         )
-
-
-def together(F: np.ndarray, r: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the same image as one measurement, by as many numbers as its marks move by together: those of a body.
-
-    What the marks scatter by about that is noise of single marks, and says nothing of the shot.
-
-    Args:
-        F: Columns, shape (M, m, D).
-        r: Residuals, shape (M, m).
-        of: Measurement that each belongs to, ascending from 0, shape (M,).
-
-    Returns:
-        Columns (n, p, D) and residuals (n, p), zero where a measurement has fewer numbers.
-    """
-    D = F.shape[2]
-    parts = []
-    for number in range(int(of[-1]) + 1):
-        flat, error = F[of == number].reshape(-1, D), r[of == number].ravel()
-        U, s, Vt = np.linalg.svd(flat, full_matrices=False)
-        rank = int((s > TOGETHER_RANK * s[0]).sum())
-        parts.append((s[:rank, None] * Vt[:rank], U[:, :rank].T @ error))
-    wide = max(len(error) for _, error in parts)
-    columns, residuals = np.zeros((len(parts), wide, D)), np.zeros((len(parts), wide))
-    for number, (part, error) in enumerate(parts):
-        columns[number, : len(error)], residuals[number, : len(error)] = part, error
-    return columns, residuals
 
 
 def inverse(information: np.ndarray) -> np.ndarray:

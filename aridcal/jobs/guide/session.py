@@ -159,21 +159,14 @@ class Session:
             if self.read.rows is None and len(self.table.rows) >= FEW_BAD:
                 raise CampaignError(f"{self.campaign.path}: none of the rows can be used: {self.read.refused[new[0]]}")
             self.suspect = None
-            for k in self._heads(new):
+            for k in new:
                 events += self._row(k)
             events += self._afterwards(new)
             self.rejected = ()
         return [*events, *self._ahead()]
 
-    def _heads(self, new: Sequence[int]) -> list[int]:
-        """Those of new lines that begin a measurement, or are no row: the other rows of an image come with its first."""
-        if not self.campaign.measurements.traits.images:
-            return list(new)
-        within = set(self.read.lines.tolist()) - set(self.read.index.tolist())
-        return [k for k in new if k not in within]
-
     def _row(self, k: int) -> list[Event]:
-        """Judge the measurement that begins with a line beside all before it."""
+        """Judge one line beside all before it."""
         line = self.table.line(k)
         place = np.flatnonzero(self.read.index == k)
         if self.read.rows is None or not len(place):
@@ -194,8 +187,7 @@ class Session:
         slip = [] if self.posterior is None else self._moved(at, rows)
         if slip:  # then the row is good after all
             odd_ones = [odd for odd in odd_ones if odd.what != "outlier"]
-        count = len(self.read.lines_of(at)) if self.campaign.measurements.traits.images else 1
-        events: list[Event] = [RowRead(line, self.good[k], tuple(odd.words for odd in odd_ones), count)]
+        events: list[Event] = [RowRead(line, self.good[k], tuple(odd.words for odd in odd_ones))]
         events += [Alarm(line, odd.what, odd.words, odd.do) for odd in odd_ones]
         events += slip
         if self.posterior is None:
@@ -218,7 +210,7 @@ class Session:
             return []
         line = self.table.line(k)
         for words, other in in_other_units(rows, at) if self._places else ():
-            G, s = self.posterior.columns(other, np.arange(len(other)))
+            G, s = self.posterior.columns(other)
             if verdict(self.posterior, G[0], s[0], self.inflation).probability > TURN_BACK:
                 return [
                     Oddity(
@@ -255,9 +247,9 @@ class Session:
         return self.campaign.measurements.traits.places
 
     def _columns(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and residuals of some measurements at the last fit, in sigmas; see :meth:`Posterior.columns`."""
-        assert self.posterior is not None
-        return self.posterior.columns(*self.read.some(numbers))
+        """Columns and residuals of some rows at the last fit, in sigmas; see :meth:`Posterior.columns`."""
+        assert self.posterior is not None and self.read.rows is not None
+        return self.posterior.columns(self.read.rows.select(numbers))
 
     def _begun_wrong(self, k: int) -> bool:
         """Whether frames sought again with an early row explain it and all before it; they are then gone on with."""
@@ -288,10 +280,8 @@ class Session:
 
     @property
     def _numbers(self) -> int:
-        """Numbers that a measurement tells of where the target is: of an image those of a body."""
+        """Numbers that a row tells of where the target is."""
         assert self.posterior is not None
-        if self.campaign.measurements.traits.images:
-            return len(FRAME_COMPONENTS)
         return sum(channel.size for channel in self.posterior.setup.patterns.channels)
 
     def _off(self, F: np.ndarray, judged: Verdict) -> tuple[np.ndarray, np.ndarray] | None:
@@ -299,13 +289,6 @@ class Session:
         assert self.posterior is not None
         setup = self.posterior.setup
         spread = judged.spread / self.inflation.variance
-        if self.campaign.measurements.traits.images:
-            G = self._as_if_moved(F[0])
-            if G is None:
-                return None
-            G = G[np.any(F[0] != 0.0, axis=1)]
-            solve = np.linalg.pinv(G)
-            return (solve @ judged.error)[:3], np.diag(solve @ spread @ solve.T)[:3]
         first = columns(setup.patterns.channels)[0]
         measured = np.any(F[0] != 0.0, axis=1)
         if not measured[first].all() or len(judged.error) < first.stop:
@@ -313,30 +296,12 @@ class Session:
         sigma = setup.sigma[0]
         return judged.error[first] * sigma, np.diag(spread)[first] * sigma**2
 
-    def _as_if_moved(self, F: np.ndarray) -> np.ndarray | None:
-        """Columns of an image, F (p, D), as if camera, board or the last joint were elsewhere, shape (p, 6)."""
-        assert self.posterior is not None
-        names = self.posterior.setup.model.names
-        for where in (*self._frames(), *reversed(self.robot.names)):
-            some = [self.posterior.things + names.index(n) for c in FRAME_COMPONENTS if (n := f"{where}.{c}") in names]
-            if len(some) == len(FRAME_COMPONENTS):
-                return F[:, some]
-        return None
-
-    def _frames(self) -> tuple[str, ...]:
-        """What may slip: the frames of every campaign, and cameras and boards."""
-        assert self.posterior is not None
-        things = self.posterior.setup.model.instruments.things.values()
-        return (*MOUNTING_FRAMES, *(name for t in things if not t.role.many for name in t.names))
-
     def _size(self, judged: Verdict) -> str:
         """How far off a row is, in words."""
         assert self.posterior is not None
         channels = self.posterior.setup.patterns.channels
         parts = []
-        if not self.campaign.measurements.traits.images and len(judged.error) == sum(
-            channel.size for channel in channels
-        ):
+        if len(judged.error) == sum(channel.size for channel in channels):
             for channel, part, sigma in zip(channels, columns(channels), self.posterior.setup.sigma, strict=True):
                 parts.append(f"{np.linalg.norm(judged.error[part]) * sigma * channel.scale:.3g} {channel.shown}")
         return f"{', '.join(parts)}, {judged.sigmas:.1f} sigma".lstrip(", ")
@@ -375,7 +340,7 @@ class Session:
             error = residual - flat @ before.step
             spread = self.inflation.variance * (np.eye(len(error)) + flat @ before.covariance @ flat.T)
             by_frame = {}
-            for where in self._frames():
+            for where in MOUNTING_FRAMES:
                 some = [things + names.index(f"{where}.{c}") for c in FRAME_COMPONENTS if f"{where}.{c}" in names]
                 if some:
                     by_frame[where] = flat[:, some]
@@ -406,7 +371,7 @@ class Session:
         self.suspect = None
         self._fit()
         words = {"world_base": "the tripod (or the robot's base)", "tip_target": "the target"}
-        names = " or ".join(words.get(where, where.replace("_", " ")) for where in best.frames)
+        names = " or ".join(words[where] for where in best.frames)
         return [
             Alarm(
                 line,
@@ -423,12 +388,11 @@ class Session:
 
     def serving(self) -> list[int]:
         """Lines that are rows for the full search, which judges by itself which rows are outliers."""
-        heads = self.read.index[self.read.of].tolist()
-        return [k for k, head in zip(self.read.lines.tolist(), heads, strict=True) if self._judges(head)]
+        return [k for k in self.read.index.tolist() if self._judges(k)]
 
     def _knows(self) -> np.ndarray:
-        """Measurements of which the model knows all that they refer to, shape (n,) bool."""
-        rows = self.read.every
+        """Rows of which the model knows all that they refer to, shape (n,) bool."""
+        rows = self.read.rows
         assert self.posterior is not None and rows is not None
         model = self.posterior.setup.model
         knows = np.ones(len(rows), dtype=bool)
@@ -438,7 +402,7 @@ class Session:
             things = model.instruments.things.get(role.name)
             if things is not None:
                 knows &= np.isin(rows.labels.refers[:, k], ["", *things.names])
-        return np.asarray(np.bincount(self.read.of, ~knows) == 0)
+        return knows
 
     # -- fits ---------------------------------------------------------------------------------------------------------------
 
@@ -450,9 +414,9 @@ class Session:
     def _begin(self, line: int) -> list[Event]:
         """Find frames and things from the rows so far, if they are enough."""
         some = self._in_use()
-        if not len(some):
+        if self.read.rows is None or not len(some):
             return []
-        rows, _ = self.read.some(some)
+        rows = self.read.rows.select(some)
         prior = None if self.prior is None else self.prior.setup
         try:
             setup = begun(self.campaign, self.robot, self.around, prior, rows)
@@ -470,9 +434,9 @@ class Session:
 
     def _fit(self) -> None:
         """Fit all rows in use anew."""
-        assert self.posterior is not None
+        assert self.posterior is not None and self.read.rows is not None
         some = self._in_use()
-        self.posterior = fitted(self.posterior, self.read.some(some)[0])
+        self.posterior = fitted(self.posterior, self.read.rows.select(some))
         self.fitted_rows = len(some)
 
     def _afterwards(self, new: Sequence[int]) -> list[Event]:
@@ -572,14 +536,10 @@ class Session:
 
     def _anywhere(self) -> Next:
         """What to measure while nobody knows where anything is: the user's own choice of pose."""
-        traits = self.campaign.measurements.traits
-        what = (
-            "the target in a point, each point in three poses" if traits.touches else "an image that shows the markers"
-        )
         return Next(
             {},
-            f"bring the arm there yourself, as nobody says yet where things are: measure {what}, turned about all axes and far "
-            "from the last; poses are proposed once rows tell where things are",
+            "bring the arm there yourself, as nobody says yet where the points are: measure the target in a point, each point in "
+            "three poses turned about all axes and far apart; poses are proposed once rows tell where the points are",
         )
 
     def _enough(self, known: Known, some: Pool) -> tuple[Why, str] | None:

@@ -203,7 +203,7 @@ def test_a_row_that_is_left_out_is_as_far_off_as_a_fit_without_it_says(tmp_path:
     led(now, cell, 10)
     assert now.posterior is not None
     assert now.read.rows is not None
-    F, r = now.posterior.columns(*now.read.some(np.arange(len(now.read.rows))))
+    F, r = now.posterior.columns(now.read.rows)
     r[[0, 5]] += 5.0  # sigmas: clearly off
     together = beside_others(now.posterior, F, r, now.inflation)
     for k in (0, 5):
@@ -282,6 +282,20 @@ def test_a_table_of_another_kind_of_campaign_is_refused_in_words(
     (tmp_path / "measurements.csv").write_text("one,two\n" + "0.1,0.2\n" * 4)
     assert main([str(tmp_path / "campaign.yaml"), "--no-page"]) == 2
     assert "no column" in capsys.readouterr().err
+
+
+def test_images_are_refused_with_what_to_do_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "scara.urdf").write_text(SCARA)
+    camera = "{eye: {width: 640, height: 480, fx: 700, fy: 700, cx: 320, cy: 240}}"
+    (tmp_path / "campaign.yaml").write_text(
+        "format: 1\nrobot: {urdf: scara.urdf, tip: tool}\nmeasurements: {file: m.csv, kind: pixels}\n"
+        f"instruments: {{cameras: {camera}}}\n"
+    )
+    assert main([str(tmp_path / "campaign.yaml"), "--no-page"]) == 2
+    assert "plan others with `aridcal design`" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["campaign.yaml", "scara.urdf"]
 
 
 def test_the_page_serves_this_computer_only_and_takes_two_words(tmp_path: Path) -> None:

@@ -368,19 +368,17 @@ def test_a_missing_calibration_is_answered_with_the_command_that_writes_one(tmp_
         SavedModel.load(tmp_path)
 
 
+def arguments(folder: Path) -> list[str]:
+    """Of `aridcal init` for the UR10 and rows.csv of a folder, with nobody to ask."""
+    files = ["--measurements", str(folder / "rows.csv"), "-o", str(folder / "campaign.yaml")]
+    return ["--urdf", str(UR10), *files, "--quiet"]
+
+
 def test_a_table_without_a_header_is_asked_about_once(tmp_path, capsys):
     robot, q, p, R = ur10_rows()
     plain = pd.DataFrame(np.hstack([q, p, R.as_quat()]))
     plain.to_csv(tmp_path / "rows.csv", index=False, header=False)
-    words = [
-        "--urdf",
-        str(UR10),
-        "--measurements",
-        str(tmp_path / "rows.csv"),
-        "-o",
-        str(tmp_path / "campaign.yaml"),
-        "--quiet",
-    ]
+    words = arguments(tmp_path)
     assert aridcal.init.main(words) == 2
     assert "--set table.names=NUMBER" in (asked := capsys.readouterr().err)
     assert "1 = 6 joints, then x y z qx qy qz qw" in asked
@@ -398,15 +396,7 @@ def test_a_joint_that_counts_backwards_or_in_anothers_column_is_offered_mended(s
     written = q * np.array([1, 1, -1, 1, 1, 1]) if slip == "sign" else q[:, [1, 0, 2, 3, 4, 5]]
     table = named(" ".join(robot.names), written) | named("x y z", p) | named("qx qy qz qw", R.as_quat())
     pd.DataFrame(table).to_csv(tmp_path / "rows.csv", index=False)
-    words = [
-        "--urdf",
-        str(UR10),
-        "--measurements",
-        str(tmp_path / "rows.csv"),
-        "-o",
-        str(tmp_path / "campaign.yaml"),
-        "--quiet",
-    ]
+    words = arguments(tmp_path)
     assert aridcal.init.main(words) == 2
     assert "--set reading=NUMBER" in (asked := capsys.readouterr().err) and "2 = as it stands" in asked
     assert aridcal.init.main([*words, "--set", "reading=1"]) == 0
