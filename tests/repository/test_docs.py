@@ -114,6 +114,12 @@ def test_the_keys_of_a_campaign_are_those_of_the_models():
         assert f"| `{example}` | " in of_section
 
 
+def test_the_readme_names_both_commands_that_set_up_a_fresh_machine():
+    readme, makefile = (ROOT / "README.md").read_text("utf-8"), (ROOT / "Makefile").read_text("utf-8")
+    for target in ("demo", "test"):
+        assert f"\n    make {target}\n" in readme and re.search(rf"^{target}:", makefile, re.MULTILINE)
+
+
 def test_the_readme_and_the_formats_name_every_command():
     for page in ("README.md", "docs/formats.md"):
         text = (ROOT / page).read_text("utf-8")
