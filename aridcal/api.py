@@ -52,7 +52,7 @@ from aridcal.runs.plan_files import MOST_PLANNED, check_endings, check_outputs, 
 from aridcal.runs.proposal import print_proposal
 from aridcal.runs.study_run import StudyRun, repeated, study_run
 from aridcal.system.errors import AridcalError, CampaignError, shortened
-from aridcal.system.progress import Progress, Screen, one_thread, working
+from aridcal.system.progress import Progress, Screen, working
 
 __all__ = [
     "AridcalError",
@@ -197,7 +197,7 @@ def calibrate(campaign: str | Path | Campaign, seed: int = 0) -> Calibration:
         AridcalError: whatever in the input needs mending.
     """
     job = campaign if isinstance(campaign, Campaign) else Path(campaign)
-    with working() as progress, one_thread():
+    with working() as progress:
         outcome = identify(job, seed, progress=progress, judge=refuse_misread)
     return Calibration(calibration(outcome), outcome)
 

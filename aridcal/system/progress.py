@@ -5,10 +5,12 @@ from __future__ import annotations
 import html
 import math
 import os
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import IO, Any, TypeVar
 
 from rich.console import Console
@@ -17,7 +19,7 @@ from rich.live import Live
 from rich.segment import ControlType
 from rich.spinner import Spinner
 from rich.text import Text
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from aridcal.system.errors import printable_lines
 
@@ -223,7 +225,7 @@ def one_thread() -> Iterator[None]:
     before = {name: os.environ.get(name) for name in OF_BLAS}
     os.environ.update(dict.fromkeys(OF_BLAS, "1"))
     try:
-        with threadpool_limits(1, user_api="blas"):
+        with _loaded_libraries(len(sys.modules)).limit(limits=1, user_api="blas"):
             yield
     finally:
         for name, value in before.items():
@@ -231,6 +233,12 @@ def one_thread() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+@lru_cache(maxsize=1)
+def _loaded_libraries(modules: int) -> ThreadpoolController:
+    """The libraries that are loaded, looked for anew once more modules are: that takes as long as reading a small table."""
+    return ThreadpoolController()
 
 
 @contextmanager

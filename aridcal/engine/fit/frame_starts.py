@@ -31,7 +31,8 @@ ARMIJO = 1e-4
 TURN_COUNTS = 0.1
 """Work: [m/rad]: how much a start's misfit in rotation counts beside that in position."""
 
-Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
+# Of places (B, T), the value (B,) and the slope (B, T) at each.
+Cost = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 FramePair = tuple[pin.SE3, ...]
 
 
@@ -142,8 +143,8 @@ def _levers(data: PoseRows, hint: np.ndarray) -> list[np.ndarray]:
     spread = np.sum(_centred(data.m, data.world) ** 2, axis=1)
     size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
     directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-    minima = [_descend(cost, np.tile(size * direction, tips), size)[1] for direction in directions]
-    lowest_first = sorted(_distinct(minima, SAME_MINIMUM_SHARE * size), key=lambda t: cost(t)[0])
+    minima = np.array(_distinct(_descend(cost, np.tile(size * directions, tips), size), SAME_MINIMUM_SHARE * size))
+    lowest_first = minima[np.argsort(cost(minima)[0], kind="stable")]
     slid = [t + _slide(cost, t, hint.ravel() - t, size) for t in lowest_first]
     return [t.reshape(tips, 3) for t in _distinct(slid, SAME_MINIMUM_SHARE * size)[:BEST_STARTS]]
 
@@ -166,54 +167,76 @@ def _lever_cost(data: PoseRows, tips: int) -> Cost:
     c, C, m = (_centred(part, data.world) for part in (data.p, _columns(data, tips), data.m))
     rows_of_worlds = [data.world == w for w in range(worlds)]
     H0 = np.array([m[rows].T @ c[rows] for rows in rows_of_worlds])
-    H1 = np.array([np.einsum("ni,njk->kij", m[rows], C[rows]).reshape(-1, 9) for rows in rows_of_worlds])
+    moments = [np.einsum("ni,njk->kij", m[rows], C[rows]).reshape(-1, 9) for rows in rows_of_worlds]
+    H1 = np.concatenate(moments, axis=1)  # (T, 9 worlds)
     linear = np.einsum("nik,ni->k", C, c)
     quadratic = np.einsum("nik,nil->kl", C, C)
     measured = float(np.sum(m**2))
     constant = float(measured + np.sum(c**2))
     scale = max(measured, 1e-30)
 
-    def cost(t: np.ndarray) -> tuple[float, np.ndarray]:
-        curved = quadratic @ t
-        value = constant + 2 * linear @ t + t @ curved
-        slope = 2 * linear + 2 * curved
-        for first, second in zip(H0, H1, strict=True):
-            U, singular, Vt = np.linalg.svd(first + (t @ second).reshape(3, 3))
-            sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-            turn = (U * sign) @ Vt
-            value -= 2 * float(singular @ sign)
-            slope = slope - 2 * second @ turn.ravel()
+    def cost(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        curved = t @ quadratic
+        U, singular, Vt = np.linalg.svd(H0 + (t @ H1).reshape(-1, worlds, 3, 3))
+        sign = np.ones(singular.shape)
+        sign[..., 2] = np.sign(np.linalg.det(U @ Vt))
+        turn = (U * sign[..., None, :]) @ Vt
+        value = constant + 2 * t @ linear + np.sum(t * curved, axis=1) - 2 * np.sum(singular * sign, axis=(1, 2))
+        slope = 2 * linear + 2 * curved - 2 * turn.reshape(len(t), -1) @ H1.T
         return value / scale, slope / scale
 
     return cost
 
 
-def _descend(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]:
-    """Value and place of a minimum, from t, shape (T,), by BFGS (Nocedal and Wright 2006, algorithm 6.1) with halved steps.
+def _descend(cost: Cost, t: np.ndarray, size: float) -> np.ndarray:
+    """The minima below B places, shape (B, T) both, by BFGS (Nocedal and Wright 2006, algorithm 6.1) with halved steps.
 
-    The library's minimisers find the same ones, and take longer to be loaded than to find them.
+    The library's minimisers find the same ones one by one, and take longer to be loaded than to find them.
     """
+    t = t.copy()
     value, slope = cost(t)
-    inverse = 0.5 * size**2 * np.eye(len(t))
+    inverse = np.tile(0.5 * size**2 * np.eye(t.shape[1]), (len(t), 1, 1))
+    active = np.arange(len(t))
     for _ in range(DESCENTS):
-        step = -inverse @ slope
-        falls = float(step @ slope)
-        for _ in range(STEP_HALVINGS):
-            after_value, after_slope = cost(t + step)
-            if after_value <= value + ARMIJO * falls:
-                break
-            step, falls = 0.5 * step, 0.5 * falls
-        else:
-            break  # rounding
-        turn, gain = after_slope - slope, value - after_value
-        t, value, slope = t + step, after_value, after_slope
-        if gain < RANK * max(value, 1.0):
+        step = -np.squeeze(inverse[active] @ slope[active][:, :, None], axis=2)
+        step, after_value, after_slope = _armijo(cost, t[active], value[active], slope[active], step)
+        moved = np.isfinite(after_value)  # what cannot be lowered any more is at its minimum, to rounding
+        active, step, after_value, after_slope = (part[moved] for part in (active, step, after_value, after_slope))
+        turn, gain = after_slope - slope[active], value[active] - after_value
+        t[active] += step
+        value[active], slope[active] = after_value, after_slope
+        goes_on = gain >= RANK * np.maximum(after_value, 1.0)
+        active, step, turn = active[goes_on], step[goes_on], turn[goes_on]
+        if not len(active):
             break
-        along = float(turn @ step)
-        if along > 0.0:  # else it curves downwards, and the matrix stays
-            across = np.eye(len(t)) - np.outer(step, turn) / along
-            inverse = across @ inverse @ across.T + np.outer(step, step) / along
-    return value, t
+        along = np.sum(turn * step, axis=1)
+        bent = along > 0.0  # else it curves downwards, and the matrix stays
+        curving, step, turn, along = active[bent], step[bent], turn[bent], along[bent, None, None]
+        across = np.eye(t.shape[1]) - step[:, :, None] * turn[:, None, :] / along
+        inverse[curving] = (
+            across @ inverse[curving] @ across.transpose(0, 2, 1) + step[:, :, None] * step[:, None, :] / along
+        )
+    return t
+
+
+def _armijo(
+    cost: Cost, t: np.ndarray, value: np.ndarray, slope: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps from B places halved until each lowers its value enough, and values and slopes there; infinite where none does."""
+    step, after_value, after_slope = step.copy(), np.full(len(t), np.inf), np.zeros_like(t)
+    falls = np.sum(step * slope, axis=1)
+    open_steps = np.arange(len(t))
+    for _ in range(STEP_HALVINGS):
+        new_value, new_slope = cost(t[open_steps] + step[open_steps])
+        enough = new_value <= value[open_steps] + ARMIJO * falls[open_steps]
+        done = open_steps[enough]
+        after_value[done], after_slope[done] = new_value[enough], new_slope[enough]
+        open_steps = open_steps[~enough]
+        if not len(open_steps):
+            break
+        step[open_steps] *= 0.5
+        falls[open_steps] *= 0.5
+    return step, after_value, after_slope
 
 
 def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarray:
@@ -222,9 +245,9 @@ def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarra
     So a translation that cannot be identified stays at its hint.
     """
     steps = 1e-2 * size * np.eye(len(t))
-    H = np.array([(cost(t + step)[1] - cost(t - step)[1]) / (4e-2 / size) for step in steps])
+    H = (cost(t + steps)[1] - cost(t - steps)[1]) / (4e-2 / size)
     moves, V = np.linalg.eigh(0.5 * (H + H.T))  # squared displacement of the points, [m^2/m^2]
-    misfit = size * np.sqrt(max(cost(t)[0], 1e-8))
+    misfit = size * np.sqrt(max(float(cost(t[None])[0][0]), 1e-8))
     reach = STRAIN * misfit / np.sqrt(np.maximum(moves - 1e-10, 1e-30))
     along = V.T @ gap
     return np.asarray(V @ np.where(moves < SLIGHT**2, np.clip(along, -reach, reach), 0.0))
