@@ -139,11 +139,11 @@ def _levers(data: PoseRows, hint: np.ndarray) -> list[np.ndarray]:
     of H(t), with c(t) linear in t; so the cost of a step does not depend on the number of rows.
     """
     tips = len(hint)
-    cost = _lever_cost(data, tips)
+    cost = lever_cost(data, tips)
     spread = np.sum(_centred(data.m, data.world) ** 2, axis=1)
     size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
     directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-    minima = np.array(_distinct(_descend(cost, np.tile(size * directions, tips), size), SAME_MINIMUM_SHARE * size))
+    minima = np.array(_distinct(descend(cost, np.tile(size * directions, tips), size), SAME_MINIMUM_SHARE * size))
     lowest_first = minima[np.argsort(cost(minima)[0], kind="stable")]
     slid = [t + _slide(cost, t, hint.ravel() - t, size) for t in lowest_first]
     return [t.reshape(tips, 3) for t in _distinct(slid, SAME_MINIMUM_SHARE * size)[:BEST_STARTS]]
@@ -158,7 +158,7 @@ def _distinct(places: Sequence[np.ndarray], apart: float) -> list[np.ndarray]:
     return distinct
 
 
-def _lever_cost(data: PoseRows, tips: int) -> Cost:
+def lever_cost(data: PoseRows, tips: int) -> Cost:
     r"""Misfit of target translations t and its slope, the base following by Kabsch, in units of the points' spread.
 
     .. math:: |m|^2 + |c_0 + C t|^2 - 2 \sum_w (\sigma_1 + \sigma_2 \pm \sigma_3)(H_{0w} + H_{1w} t)
@@ -188,7 +188,7 @@ def _lever_cost(data: PoseRows, tips: int) -> Cost:
     return cost
 
 
-def _descend(cost: Cost, t: np.ndarray, size: float) -> np.ndarray:
+def descend(cost: Cost, t: np.ndarray, size: float) -> np.ndarray:
     """The minima below B places, shape (B, T) both, by BFGS (Nocedal and Wright 2006, algorithm 6.1) with halved steps.
 
     The library's minimisers find the same ones one by one, and take longer to be loaded than to find them.

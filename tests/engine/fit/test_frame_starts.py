@@ -12,7 +12,7 @@ import robots
 from repository import ROOT
 from scipy.optimize import minimize
 
-from aridcal.engine.fit.frame_starts import FrameStart, PoseRows, _descend, _lever_cost, start_frames
+from aridcal.engine.fit.frame_starts import FrameStart, PoseRows, descend, lever_cost, start_frames
 from aridcal.engine.fit.least_squares import fit_identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import fit_geometry
@@ -24,6 +24,7 @@ from aridcal.files.read import load_measurements
 
 CAMPAIGNS = ROOT / "identification"
 IDENTITY = (pin.SE3.Identity(),)
+FINE = {"ftol": 1e-15, "gtol": 1e-12}
 
 
 def starts(
@@ -92,13 +93,17 @@ def test_descents_end_no_higher_than_those_of_scipy(tips: int) -> None:
     truth = robots.simulate(robots.ur10(), 60, rng, 1e-3, 1e-4, tip=robots.random_placement(rng, 0.3))
     R, p = tip_frames(truth.model.robot, truth.readings)
     tip, world = np.arange(60) % tips, np.arange(60) % 2
-    cost = _lever_cost(PoseRows(R, p, None, truth.measured.position, world, tip), tips)
-    for _ in range(10):
-        start = rng.uniform(-2.0, 2.0, 3 * tips)
-        value, place = _descend(cost, start, 1.0)
-        peer = minimize(cost, start, jac=True, method="L-BFGS-B", options={"ftol": 1e-15, "gtol": 1e-12})
-        again = minimize(cost, place, jac=True, method="L-BFGS-B", options={"ftol": 1e-15, "gtol": 1e-12})
-        assert value == cost(place)[0] <= peer.fun + 1e-9 or np.linalg.norm(place - peer.x) > 1e-2  # or another minimum
+    cost = lever_cost(PoseRows(R, p, None, truth.measured.position, world, tip), tips)
+
+    def one_place(t: np.ndarray) -> tuple[float, np.ndarray]:
+        values, slopes = cost(t[None])
+        return float(values[0]), slopes[0]
+
+    starts = rng.uniform(-2.0, 2.0, (10, 3 * tips))
+    places = descend(cost, starts, 1.0)
+    for start, place, value in zip(starts, places, cost(places)[0], strict=True):
+        peer, again = (minimize(one_place, x, jac=True, method="L-BFGS-B", options=FINE) for x in (start, place))
+        assert value <= peer.fun + 1e-9 or np.linalg.norm(place - peer.x) > 1e-2  # or another minimum
         assert value <= again.fun + 1e-10
 
 
