@@ -17,14 +17,22 @@ from aridcal.jobs.export.expressions import Formula, Term, bare, infix, statemen
 from aridcal.jobs.export.machine import Chain, Machine, Quantity
 from aridcal.system.errors import printable
 
-NEWTON_STEPS, STARTS = 11, 2
-"""Work: three steps settle where the arm is free to move; the others, and the further starts, are for singular places. A UR10
-with 727 coefficients takes 25 us where it is free, and 48 us at the worst."""
+NEWTON_STEPS, STARTS = 40, 5
+"""Work: at the most, as many as `compensate` takes: three steps settle where the arm is free to move; the others, and the further
+starts, are for singular places."""
+
+PLACES = 3_000
+"""Work: places of steps and slopes that one search may compute, a coefficient counting as a tenth: 50 us at the worst.
+A UR10's geometry has 12 places, and 118 with 727 coefficients."""
+
+LEAST_STEPS = 11
+"""Work: within them from two starts a UR10 comes as near as `compensate` over its whole range."""
 
 RISE, FALL = 10.0, 2.0
-"""By how much damping rises where a step does not help, and falls where it does: within the steps above both find what
-`compensate` finds with 40 and four further starts, to 3 % over the whole range of a UR10; beside a straight wrist they
-leave a quarter more."""
+"""By how much damping rises where a step does not help, and falls where it does."""
+
+EXACT = 1e-10
+"""[m]: a miss below it, rotations counted, needs no further step: the next would be rounding."""
 
 NEAR = 1e-6
 """[m]: a miss below it, rotations counted, needs no further start."""
@@ -98,7 +106,7 @@ def _header(machine: Machine, digest: str, about: Sequence[str]) -> str:
     fields = fields or ["    double none; /* the model depends on nothing beside the readings */"]
     text = HEADER.replace("{sizes}", "\n".join(sizes)).replace("{conditions}", "\n".join(fields))
     text = text.replace("{no_rotation}", "" if machine.pose else ": NAN, the target's rotation was not measured")
-    return "\n".join(lines) + "\n */\n" + text.replace("{newton}", str(NEWTON_STEPS * _starts(machine)))
+    return "\n".join(lines) + "\n */\n" + text.replace("{newton}", str(math.prod(_newton_steps(machine))))
 
 
 def _seen(quantity: Quantity) -> str:
@@ -114,15 +122,16 @@ def _plain(text: str) -> str:
 
 def _code(machine: Machine, about: Sequence[str]) -> str:
     slopes = [slope for _, _, slope in machine.slopes]
-    both, starts = (*machine.model.at, *slopes), _starts(machine)
+    both, (steps, starts) = (*machine.model.at, *slopes), _newton_steps(machine)
     constants = {
         "STEPS": (len(machine.model.steps), "the robot's joints, and one for each motion of an effect"),
         "NOMINAL_STEPS": (len(machine.nominal.steps), "the robot's joints alone"),
         "SLOPES": (len(slopes), "places of steps that change with a reading"),
         "ROWS": (6 if machine.pose else 3, "numbers of a wanted pose, or position"),
         "LEVER": (_number(machine.lever), "m/rad: what an error of a rad counts"),
-        "NEWTON_STEPS": (NEWTON_STEPS, "from each start"),
+        "NEWTON_STEPS": (steps, "from each start, at the most"),
         "STARTS": (starts, "further ones only where the target is not reached"),
+        "EXACT": (EXACT, "m, rotations counted: no further step"),
         "NEAR": (NEAR, "m, rotations counted: no further start"),
         "LARGEST_TURN": (LARGEST_NEWTON_TURN, "rad, in one of them"),
         "FIRST_DAMPING": (FIRST_DAMPING, "where a step without damping does not help"),
@@ -306,9 +315,12 @@ def _finite_conditions(machine: Machine) -> str:
     return "static int finite_conditions(const NAME_conditions *c)\n{\n" + _line(f"return c && {checks};", "") + "\n}"
 
 
-def _starts(machine: Machine) -> int:
-    """Starts of a search: an arm that reaches nearly nothing exactly needs no second one."""
-    return 1 if machine.lean else STARTS
+def _newton_steps(machine: Machine) -> tuple[int, int]:
+    """Steps from each start of a search, and starts; an arm that reaches nearly nothing exactly needs no second start."""
+    places = len(machine.model.steps) + len(machine.slopes) + len(machine.effects) / 10
+    steps = max(int(PLACES / places), 2 * LEAST_STEPS)
+    starts = 1 if machine.lean else min(STARTS, steps // LEAST_STEPS)
+    return min(NEWTON_STEPS, steps // starts), starts
 
 
 def _kicks(starts: int, joints: int) -> list[str]:

@@ -380,7 +380,7 @@ static double search(const NAME_conditions *c, const NAME_pose *goal, double at[
 {
     double e[ROWS], J[ROWS * NAME_JOINTS], damping = 0.0;
     double square = look(at, c, goal, e, J, miss);
-    for (int n = 0; n < NEWTON_STEPS; n++) {
+    for (int n = 0; n < NEWTON_STEPS && !(square < EXACT * EXACT); n++) {
         double trial[NAME_JOINTS], e_trial[ROWS], J_trial[ROWS * NAME_JOINTS], miss_trial[2];
         inside(at, J, e, damping + TINY, trial);
         const double square_trial = look(trial, c, goal, e_trial, J_trial, miss_trial);
