@@ -66,7 +66,8 @@ def test_a_folder_of_any_letters_is_found_in_the_c_locale(tmp_path: Path) -> Non
 
 
 def test_a_name_that_is_not_utf8_is_called_so(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([os.fsdecode(b"S\xfcd/campaign.yaml")]) == 2
+    with pytest.raises(SystemExit, match="2"):
+        main([os.fsdecode(b"S\xfcd/campaign.yaml")])
     assert "is not UTF-8, as this session reads names: rename it" in capsys.readouterr().err
 
 
