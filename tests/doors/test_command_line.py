@@ -107,19 +107,19 @@ def unread() -> Iterator[int]:
     os.close(writing)
 
 
-@pytest.mark.parametrize("words", [["--help"], ["identify", "--help"]], ids=" ".join)
+@pytest.mark.parametrize("words", [["--help"], ["doctor", "--help"]], ids=" ".join)
 def test_what_nobody_reads_costs_a_command_neither_its_status_nor_a_word(words: list[str], unread: int) -> None:
     done = started(*words, stdout=unread)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-CLOSED = [">&-", "<&- >&-", "<&- >&- 2>&-"]
+CLOSED = ["<&- >&-", "<&- >&- 2>&-"]
 
 
 @pytest.mark.parametrize(
     ("words", "redirected"),
     [
-        *itertools.product([["--version"], ["identify", "--help"]], CLOSED[1:]),
+        *itertools.product([["--version"], ["doctor", "--help"]], CLOSED),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )
@@ -185,8 +185,15 @@ sys.meta_path.insert(0, Stopper())
 """A `sitecustomize` that sends a signal when a module is about to be imported."""
 
 
-@pytest.mark.parametrize("stop_at", ["aridcal.command_line", "rich", "threadpoolctl", "numpy", "pinocchio", "pydantic"])
-@pytest.mark.parametrize("start", ["module", "package", "script"])
+@pytest.mark.parametrize(
+    ("start", "stop_at"),
+    [
+        *itertools.product(
+            ["package"], ["aridcal.command_line", "rich", "threadpoolctl", "numpy", "pinocchio", "pydantic"]
+        ),
+        *itertools.product(["module", "script"], ["aridcal.command_line", "pydantic"]),
+    ],
+)
 def test_a_signal_while_libraries_load_ends_with_130_or_143_and_one_line(start, stop_at, tmp_path):
     by, status = ("SIGTERM", 143) if stop_at in ("rich", "pinocchio") else ("SIGINT", 130)
     (tmp_path / "sitecustomize.py").write_text(STOPPER)

@@ -16,6 +16,7 @@ import pytest
 import robots
 from repository import ROOT
 
+import aridcal
 from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign, load_campaign
@@ -131,11 +132,30 @@ def test_held_out_configurations_depend_on_the_seed_and_not_on_the_order() -> No
     assert first != held_out(table, 1)
 
 
-def test_permuted_rows_with_a_time_give_the_same_result_to_the_last_bit() -> None:
+def folder_of(folder: Path, table: pd.DataFrame) -> Path:
+    """The shipped campaign of timed rows, in a folder with another table."""
+    folder.mkdir()
+    text = UNDECLARED.read_text().replace("../../urdf", str(ROOT / "urdf"))
+    (folder / "campaign.yaml").write_text(text)
+    table.to_csv(folder / "measurements.csv", index=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def timed(tmp_path_factory: pytest.TempPathFactory) -> aridcal.Calibration:
+    """Of timed rows, made by this process."""
+    folder = folder_of(tmp_path_factory.mktemp("timed") / "one", attacked(UNDECLARED))
+    return aridcal.calibrate(folder / "campaign.yaml")
+
+
+def test_permuted_rows_with_a_time_give_the_same_result_to_the_last_bit(
+    timed: aridcal.Calibration, tmp_path: Path
+) -> None:
     """Also the effect that is found, the verdict and its reasons: with a time, the order of rows says nothing."""
     table = attacked(UNDECLARED)
     mixed = permuted(table, 3)
-    here, there = calibrated(UNDECLARED, table), calibrated(UNDECLARED, mixed)
+    here, there = timed.outcome, identify(folder_of(tmp_path / "two", mixed) / "campaign.yaml")
+    assert here is not None
     assert [e.effect.kind for e in here.effects] == ["joint_compliance"] and here.outlier.any()
     assert without_places(here) == without_places(there)
     pd.testing.assert_frame_equal(residuals_of(here, table), residuals_of(there, mixed), check_exact=True)
@@ -173,26 +193,17 @@ print(os.environ["OPENBLAS_NUM_THREADS"], os.environ.get("BLIS_NUM_THREADS"))
         assert said.splitlines() == [*first, "[1, 1]", "2 None"]
 
 
-def test_threads_hashes_language_clock_and_folder_change_no_byte(tmp_path: Path) -> None:
-    """A run on one thread in the campaign's folder; another on two, elsewhere, through a link, of another hash seed."""
-    table = attacked(UNDECLARED)
-    text = UNDECLARED.read_text().replace("../../urdf", str(ROOT / "urdf"))
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "campaign.yaml").write_text(text)
-        table.to_csv(tmp_path / name / "measurements.csv", index=False)
+def test_threads_hashes_language_clock_and_folder_change_no_byte(timed: aridcal.Calibration, tmp_path: Path) -> None:
+    """This process, and a command on two threads, elsewhere, through a link, in another language, of another hash seed."""
+    timed.save(tmp_path / "one")
+    folder_of(tmp_path / "two", attacked(UNDECLARED))
     (tmp_path / "link").symlink_to("two")
-
-    def run(threads: str, seed: str, language: str, zone: str, campaign: str, folder: Path) -> None:
-        counts = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), threads)
-        env = os.environ | counts | {"PYTHONHASHSEED": seed, "LC_ALL": language, "TZ": zone, "PYTHONPATH": str(ROOT)}
-        subprocess.run([sys.executable, "-m", "aridcal.identify", campaign], cwd=folder, env=env, check=True)
-
-    run("1", "0", "C", "UTC", "campaign.yaml", tmp_path / "one")
-    run("2", "4711", "de_DE.UTF-8", "Asia/Tokyo", str(tmp_path / "link" / "campaign.yaml"), Path("/"))
-    found = [(tmp_path / name / "results" / "result.json").read_bytes() for name in ("one", "two")]
-    here, there = (re.sub(rb'"seconds": [0-9.]+', b"", content) for content in found)
+    counts = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "2")
+    words = {"PYTHONHASHSEED": "4711", "LC_ALL": "de_DE.UTF-8", "TZ": "Asia/Tokyo", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "aridcal.identify", str(tmp_path / "link" / "campaign.yaml")]
+    subprocess.run(command, cwd="/", env=os.environ | counts | words, check=True)
+    folders = tmp_path / "one", tmp_path / "two" / "results"
+    here, there = (re.sub(rb'"seconds": [0-9.]+', b"", (f / "result.json").read_bytes()) for f in folders)
     assert here == there and len(here) > 1000
-    others = {"calibrated.urdf", "model.urdf", "calibration.yaml", "residuals.csv"}
-    for name in others:
-        assert (tmp_path / "one" / "results" / name).read_bytes() == (tmp_path / "two" / "results" / name).read_bytes()
+    for name in ("calibrated.urdf", "model.urdf", "calibration.yaml", "residuals.csv"):
+        assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()

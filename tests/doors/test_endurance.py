@@ -131,8 +131,8 @@ def test_ten_times_the_rows_take_no_more_memory_to_predict(tmp_path: Path, monke
         finally:
             tracemalloc.stop()
 
-    peak(200)  # what is made once
-    assert peak(3_000) < 1.3 * peak(300)
+    peak(150)  # what is made once
+    assert peak(1_500) < 1.3 * peak(150)
 
 
 def test_a_long_chain_in_parts_has_the_poses_and_columns_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:

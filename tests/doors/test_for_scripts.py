@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import robots
+import ur10_saved
 from repository import ROOT
 
 from aridcal.__main__ import COMMANDS
@@ -20,7 +21,7 @@ from aridcal.identify import main as identify
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    truth = robots.simulate(robots.ur10(), 60, np.random.default_rng(0), noise=1e-4)
+    truth = robots.simulate(robots.arid(), 60, np.random.default_rng(0), noise=1e-4)
     return robots.write_campaign(tmp_path_factory.mktemp("scripts"), truth)
 
 
@@ -48,12 +49,11 @@ def test_json_is_one_line_and_says_what_result_json_says(campaign: Path, capfd: 
 
 
 def test_a_check_as_json_agrees_with_its_exit_status(campaign: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    results, rows = campaign.parent / "results", campaign.parent / "measurements.csv"
-    moved = pd.read_csv(rows)
-    moved[moved.columns[0]] += 0.01
-    moved.to_csv(campaign.parent / "moved.csv", index=False)
-    for table, status in ((rows, 0), (campaign.parent / "moved.csv", 3)):
-        assert check([str(results), str(table), "--json", "--quiet"]) == status
+    results, rows = campaign.parent / "results", pd.read_csv(campaign.parent / "measurements.csv")[:10]
+    for moved, status in ((0.0, 0), (0.01, 3)):
+        table = rows.assign(joint_2=rows["joint_2"] + moved)
+        table.to_csv(campaign.parent / "new.csv", index=False)
+        assert check([str(results), str(campaign.parent / "new.csv"), "--json", "--quiet"]) == status
         said = json.loads(capfd.readouterr().out)
         assert said["good"] == (status == 0)
         assert said["said"]
@@ -97,13 +97,13 @@ def test_quiet_commands_write_what_the_others_write_and_say_nothing(
     """Each of the commands twice, with --quiet and without: the same files, no word."""
     monkeypatch.chdir(tmp_path)
     saved, table = str(campaign.parent / "results" / "calibration.yaml"), str(campaign.parent / "measurements.csv")
-    program = tmp_path / "a.script"
-    program.write_text("movej([0.1, -1.2, 1.3, -0.4, 0.5, 0.6])\n")
-    urdf = str(ROOT / "urdf" / "ur10.urdf")
+    Path("a.script").write_text("movej([0.1, -1.2, 1.3, -0.4, 0.5, 0.6])\n")
+    Path("ur10.yaml").write_text(ur10_saved.calibration().dump(), encoding="utf-8")
+    urdf = str(ROOT / "urdf" / "arid.urdf")
     lines = {
         "init": ["--urdf", urdf, "--measurements", table, "-o", "OUT.yaml"],
         "predict": [saved, table, "-o", "OUT.csv"],
-        "compensate": [saved, str(program), "-o", "OUT.script"],
+        "compensate": ["ur10.yaml", "a.script", "-o", "OUT.script"],
         "print": ["charuco", "-o", "OUT.pdf"],
     }
     for command, arguments in lines.items():

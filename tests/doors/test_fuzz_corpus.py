@@ -15,7 +15,7 @@ FILES = sorted(path for path in CORPUS.glob("*/*"))
 TEXT = [name for name, target in TARGETS.items() if target.kind == "text"]
 
 # Mutants of each reader's corpus that every run of the tests looks at.
-MUTANTS = 150
+MUTANTS = 100
 
 
 def attempt(reader: str, content: bytes, folder: Path) -> str:

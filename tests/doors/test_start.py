@@ -18,6 +18,7 @@ from scipy.stats import binom
 
 from aridcal.engine.fit.flags import cluster, coordinates
 from aridcal.engine.rows.repeats import by_appearance, earlier_occurrences, first_alike
+from aridcal.identify import main
 from aridcal.jobs.calibrate.folder import residual_table, write_results
 from aridcal.jobs.calibrate.pipeline import identify
 
@@ -34,18 +35,6 @@ def loaded(code: str, *arguments: str) -> set[str]:
     return set(json.loads(done.stderr.splitlines()[-1]))
 
 
-def test_what_loads_slowly_is_seen_by_this_test() -> None:
-    assert loaded("import scipy.stats, pandas") >= {"scipy.stats", "pandas", "numpy"}
-
-
-def test_identify_is_ready_to_read_its_table_with_no_slow_library() -> None:
-    there = loaded("import aridcal.identify")
-    assert "aridcal.files.read" in there  # it is what reads
-    assert not there & SLOW
-    late = ("aridcal.engine.search", "aridcal.engine.trust", "aridcal.pages.report")
-    assert not {name for name in there if name.startswith(late)}
-
-
 def test_a_program_is_corrected_without_the_libraries_that_tables_need() -> None:
     there = loaded("import aridcal.compensate")
     assert "aridcal.jobs.apply.programs.correct" in there
@@ -56,20 +45,18 @@ def test_the_list_of_commands_needs_no_arrays() -> None:
     assert not loaded("from aridcal.__main__ import main; main(['--help'])") & {*SLOW, "numpy", "pinocchio", "pydantic"}
 
 
-@pytest.mark.parametrize("module", ["aridcal", "aridcal.identify"])
-def test_a_folder_of_any_letters_is_found_in_the_c_locale(module: str, tmp_path: Path) -> None:
+def test_a_folder_of_any_letters_is_found_in_the_c_locale(tmp_path: Path) -> None:
     """Python reads names in UTF-8 there by itself (PEP 540), unless it is told not to."""
     folder = tmp_path / "Süd"
     folder.mkdir()
     (folder / "campaign.yaml").write_text("format: 1\n")
-    words = ["identify"] if module == "aridcal" else []
     ascii_alone = {
         **{k: v for k, v in os.environ.items() if k != "PYTHONUTF8"},
         "LC_ALL": "C",
         "PYTHONCOERCECLOCALE": "0",
     }
     done = subprocess.run(
-        [sys.executable, "-m", module, *words, str(folder / "campaign.yaml")],
+        [sys.executable, "-m", "aridcal", "identify", str(folder / "campaign.yaml")],
         capture_output=True,
         cwd=ROOT,
         env=ascii_alone,
@@ -78,11 +65,10 @@ def test_a_folder_of_any_letters_is_found_in_the_c_locale(module: str, tmp_path:
     assert done.returncode == 2 and "Süd" in said and "robot" in said  # read, and lacks the robot
 
 
-def test_a_name_that_is_not_utf8_is_called_so() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "aridcal", "identify", b"S\xfcd/campaign.yaml"], capture_output=True, cwd=ROOT
-    )
-    assert done.returncode == 2 and b"is not UTF-8, as this session reads names: rename it" in done.stderr
+def test_a_name_that_is_not_utf8_is_called_so(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main([os.fsdecode(b"S\xfcd/campaign.yaml")])
+    assert "is not UTF-8, as this session reads names: rename it" in capsys.readouterr().err
 
 
 def test_a_slip_in_a_table_is_told_before_what_fits_is_loaded(tmp_path: Path) -> None:
@@ -90,13 +76,15 @@ def test_a_slip_in_a_table_is_told_before_what_fits_is_loaded(tmp_path: Path) ->
     rows = robots.table(truth).rename(columns={"elbow_joint": "elbow"})
     path = robots.write_campaign(tmp_path, truth, rows)
     there = loaded("import aridcal.identify; assert aridcal.identify.main(sys.argv[1:]) == 2", str(path))
-    assert "aridcal.files.read" in there
+    assert "aridcal.files.read" in there  # it is what reads
     assert not there & SLOW
+    late = ("aridcal.engine.search", "aridcal.engine.trust", "aridcal.pages.report")
+    assert not {name for name in there if name.startswith(late)}
 
 
 def test_a_whole_calibration_needs_neither_scipy_stats_nor_pandas_nor_matplotlib(tmp_path: Path) -> None:
     """Of targets that the table names, too."""
-    truth = robots.simulate(robots.ur10(), 60, np.random.default_rng(1), noise=1e-4)
+    truth = robots.simulate(robots.arid(), 60, np.random.default_rng(1), noise=1e-4)
     rows = robots.table(truth).assign(target=np.where(np.arange(60) % 2, "left", "right"))
     ends = {side: {"on": truth.model.robot.tip} for side in ("left", "right")}
     path = robots.write_campaign(tmp_path, truth, rows, instruments={"targets": ends})
@@ -141,7 +129,7 @@ def test_rows_that_were_seen_before_are_counted_as_pandas_counts() -> None:
 
 
 def test_residuals_are_written_as_pandas_would(tmp_path: Path) -> None:
-    truth = robots.simulate(robots.ur10(), 40, np.random.default_rng(1), noise=1e-4)
+    truth = robots.simulate(robots.arid(), 40, np.random.default_rng(1), noise=1e-4)
     rows = robots.table(truth).assign(station=np.where(np.arange(40) % 2, 'a, "b"', ""))
     path = robots.write_campaign(tmp_path, truth, rows, measurements={"file": "b, c.csv"})
     (tmp_path / "measurements.csv").rename(tmp_path / "b, c.csv")

@@ -13,7 +13,6 @@ import robots
 import aridcal
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.calibrate.job_inputs import read_job
-from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dates import DAY, times_of_day, unrolled
 
@@ -34,8 +33,14 @@ def knocked(n: int = 120, after: float = 0.8) -> tuple[robots.Truth, np.ndarray,
     return replace(truth, measured=robots.placed(truth.measured, position=truth.measured.position + shift)), time, late
 
 
+STEPS = {"diagnosis": {"candidates": ["shift"]}}
+"""Of all that is searched for, only what steps."""
+
+
 @pytest.mark.parametrize("written", ["clock", "seconds"])
-def test_a_knock_after_midnight_is_found_where_it_was(written: str, tmp_path: Path) -> None:
+def test_a_knock_after_midnight_is_found_where_it_was_and_queries_at_night_are_of_the_machine_then(
+    written: str, tmp_path: Path
+) -> None:
     """Second road: the same rows with dates. Sorted by the time of day, the knock would stand in the middle of two pieces."""
     truth, time, late = knocked()
     when = {"clock": clock(time), "seconds": time % DAY}[written]
@@ -44,9 +49,9 @@ def test_a_knock_after_midnight_is_found_where_it_was(written: str, tmp_path: Pa
     if written == "clock":
         block["table"] = {"dates": {"order": "ymd", "columns": ["when"]}}
     rows = robots.table(truth).assign(when=when)
-    found = identify(
-        read_job(load_campaign(robots.write_campaign(tmp_path, truth, rows, measurements=block, diagnosis={})), 0)
-    )
+    cal = aridcal.calibrate(robots.write_campaign(tmp_path, truth, rows, measurements=block, **STEPS))
+    found = cal.outcome
+    assert found is not None
     steps = [c.basis for e in found.effects for c in e.effect.coefficients if c.basis.form == "step"]
     assert steps
     of = found.measurements.conditions[steps[0].of[0]]
@@ -55,13 +60,8 @@ def test_a_knock_after_midnight_is_found_where_it_was(written: str, tmp_path: Pa
     assert np.mean(before == ~late) > 0.95
     assert any("passes midnight" in str(notice) for notice in found.measurements.origin.notices)
 
-
-def test_a_query_at_a_time_after_midnight_is_of_the_machine_then(tmp_path: Path) -> None:
-    truth, time, _ = knocked()
-    rows = robots.table(truth).assign(time=time % DAY)
-    cal = aridcal.calibrate(robots.write_campaign(tmp_path, truth, rows, diagnosis={}))
     asked = pd.DataFrame(dict(zip(truth.model.robot.readings, truth.readings[-20:].T, strict=True)))
-    at_night = cal.predict(asked.assign(time=time[-20:] % DAY))
+    at_night = cal.predict(asked.assign(when=when[-20:]))
     off = at_night[["x", "y", "z"]].to_numpy() - truth.measured.position[-20:]
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 5e-4
     assert at_night["extrapolates"].mean() < 0.5

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -27,6 +29,7 @@ from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.engine.robot.meshes import NotDrawable, read_meshes
 from aridcal.jobs.calibrate import pipeline
 from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exports
+from aridcal.jobs.calibrate.folder import result_document
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.pages.drawing import robot_shapes, scene
@@ -305,23 +308,20 @@ def test_all_else_is_drawn(attacked: Attacked) -> None:
 
 
 def test_a_calibration_loses_nothing_by_bad_pictures(
-    truth: robots.Truth, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    truth: robots.Truth, outcome: Outcome, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    results, files = {}, {}
-    for name, more in (("plain", ""), ("attacked", links())):
-        folder = tmp_path / name
-        folder.mkdir()
-        put_files(folder)
-        model = replace(truth.model, robot=dressed(truth.model.robot, more, folder))
-        assert identify.main([str(robots.write_campaign(folder, replace(truth, model=model)))]) == 0
-        out, said = capfd.readouterr()
-        assert "Traceback" not in said and "rror:" not in said  # Pinocchio, too, would complain of each visual
-        files[name] = {path.name: path.stat().st_size for path in (folder / "results").iterdir()}
-        result = json.loads((folder / "results" / "result.json").read_text())
-        results[name] = result | {"seconds": 0}
-    assert results["plain"] == results["attacked"]
-    assert files["plain"].keys() == files["attacked"].keys() >= {"report.html", "scene.html", "calibrated.urdf"}
-    assert min(files["attacked"].values()) > 0
+    put_files(tmp_path)
+    model = replace(truth.model, robot=dressed(truth.model.robot, links(), tmp_path))
+    assert identify.main([str(robots.write_campaign(tmp_path, replace(truth, model=model)))]) == 0
+    out, said = capfd.readouterr()
+    assert "Traceback" not in said and "rror:" not in said  # Pinocchio, too, would complain of each visual
+    results = tmp_path / "results"
+    plain = json.loads(json.dumps(result_document(outcome)))
+    assert json.loads((results / "result.json").read_text()) | {"seconds": 0} == plain | {"seconds": 0}
+    sizes = {path.name: path.stat().st_size for path in results.iterdir()}
+    assert sizes.keys() >= {"report.html", "scene.html", "calibrated.urdf", "calibration.yaml", "residuals.csv",
+                            "frames.yaml", "kinematics.yaml", "joint_offsets.yaml", "dh.yaml"}  # fmt: skip
+    assert min(sizes.values()) > 0
     assert "note: scene.html: link 'rpy_text' is not drawn: `rpy` of <origin> should be numbers, not 'abc'" in out
     assert 2 < out.count("note: ") < 15  # and how many more there are
 
@@ -329,19 +329,42 @@ def test_a_calibration_loses_nothing_by_bad_pictures(
 # ---- meshes ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_mesh_that_kills_its_reader_costs_itself_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    os.mkfifo(tmp_path / "endless.stl")  # nobody writes it: no memory runs out before its time is over
+def test_a_mesh_that_kills_its_reader_costs_itself_alone_and_no_module_beside_it_is_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reader starts in the user's folder, where there may be a file called as one that it imports."""
+    os.mkfifo(tmp_path / "endless.stl")  # nobody writes it: its reader waits until it is killed
     for name in ("first.stl", "last.stl"):
         (tmp_path / name).write_bytes(stl(TRIANGLE))
+    for name in ("trimesh", "json", "aridcal"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('I was run')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend("")
     paths = [tmp_path / name for name in ("first.stl", "endless.stl", "last.stl")]
     others = children()
-    monkeypatch.setattr(meshes, "FILE_SECONDS", 3)  # a sound file takes a second on a busy computer
+
+    def kill() -> None:
+        until(lambda: opened(tmp_path / "endless.stl", ends))
+        os.kill(int(*set(children()).difference(others)), signal.SIGKILL)
+
+    ends: list[int] = []
+    killer = threading.Thread(target=kill)
+    killer.start()
     first, bad, last = read_meshes(paths).values()
-    assert isinstance(bad, NotDrawable) and "longer than 3 s" in str(bad)
+    killer.join()
+    os.close(*ends)
+    assert isinstance(bad, NotDrawable) and "its reader died of it" in str(bad)
     for sound in (first, last):
         assert not isinstance(sound, NotDrawable)
         np.testing.assert_allclose(sound[0][1][sound[0][2]].reshape(3, 3), TRIANGLE, atol=1e-6)
     assert children() == others
+
+
+def test_a_reader_that_takes_long_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "endless.stl")
+    monkeypatch.setattr(meshes, "FILE_SECONDS", 1)
+    (bad,) = read_meshes([tmp_path / "endless.stl"]).values()
+    assert isinstance(bad, NotDrawable) and "longer than 1 s" in str(bad)
 
 
 def test_a_reader_that_takes_much_memory_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -362,17 +385,18 @@ def test_a_reader_dies_with_the_command_that_started_it(tmp_path: Path) -> None:
     ])  # fmt: skip
     ends: list[int] = []
 
-    def opened() -> bool:
-        """Whether the file can be opened for writing: once somebody reads it."""
-        ends.append(os.open(tmp_path / "endless.stl", os.O_WRONLY | os.O_NONBLOCK))
-        return True
-
     with subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "endless.stl")]) as command:
-        until(opened)
+        until(lambda: opened(tmp_path / "endless.stl", ends))
         reader = Path(f"/proc/{int(Path(f'/proc/{command.pid}/task/{command.pid}/children').read_text())}")
         command.kill()
     until(lambda: not reader.exists() or "Z" in (reader / "stat").read_text().rpartition(")")[2])
     os.close(*ends)
+
+
+def opened(pipe: Path, ends: list[int]) -> bool:
+    """Whether a pipe can be opened for writing: once somebody reads it."""
+    ends.append(os.open(pipe, os.O_WRONLY | os.O_NONBLOCK))
+    return True
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -413,17 +437,6 @@ def test_where_no_reader_can_be_started_the_meshes_are_missing(tmp_path: Path, m
         monkeypatch.setattr(sys, "executable", program)
         (found,) = read_meshes([tmp_path / "a.stl"]).values()
         assert isinstance(found, NotDrawable) and "start" in str(found)
-
-
-def test_a_module_beside_the_robot_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The reader starts in the user's folder, where there may be a file called as one that it imports."""
-    (tmp_path / "a.stl").write_bytes(stl(TRIANGLE))
-    for name in ("trimesh", "json", "aridcal"):
-        (tmp_path / f"{name}.py").write_text("raise SystemExit('I was run')")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend("")
-    (found,) = read_meshes([tmp_path / "a.stl"]).values()
-    assert not isinstance(found, NotDrawable)
 
 
 def test_a_robot_of_very_many_shapes_is_drawn_in_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -297,35 +297,36 @@ def test_positions_alone_give_a_report_without_rotation_errors(tmp_path: Path) -
     assert len(html.fromstring(report).xpath('//*[name()="svg"]')) == 2 + 1 + 3 + 3 + 1 + 6 + 2
 
 
-def test_without_held_out_rows_the_report_says_so(truth: robots.Truth, tmp_path: Path) -> None:
-    rows = robots.table(truth).assign(split="train")
-    found = identify(robots.write_campaign(tmp_path, truth, rows))
-    report = whole_page(found)
+@pytest.fixture(scope="module")
+def small() -> robots.Truth:
+    return robots.simulate(robots.arid(), 40, np.random.default_rng(1), noise=1e-4)
+
+
+def test_without_held_out_rows_the_report_says_so_and_of_a_hundred_refused_rows_some_are_named_and_all_are_counted(
+    small: robots.Truth, tmp_path: Path
+) -> None:
+    rows = pd.concat([robots.table(small)] * 4, ignore_index=True)[:140].assign(split="train")
+    rows.loc[40:139, "qx"] = np.nan
+    report = whole_page(identify(robots.write_campaign(tmp_path, small, rows)))
     assert_sound(report)
-    assert "On 120 fitted rows" in text(report, "//header")
+    assert "On 40 fitted rows" in text(report, "//header")
     assert "No rows were held out" in text(report, "//header")
     assert "fitted: RMS" in text(report, "//section[@id='fits']")
     assert "held out: RMS" not in report
+    shown = text(report, "//section[@id='data']")
+    assert dict(table(report, "Rows of"))["refused: unusable"] == "100"
+    assert "line 42" in shown
+    assert "line 120" not in shown
+    assert "and 75 more" in shown
 
 
-def test_a_frame_per_station_is_listed_with_its_label(truth: robots.Truth, tmp_path: Path) -> None:
-    rows = robots.table(truth).assign(station=np.array(["north <b>", "south"])[np.arange(120) % 2])
-    found = identify(robots.write_campaign(tmp_path, truth, rows, frames={"world_base": {"per": "station"}}))
+def test_a_frame_per_station_is_listed_with_its_label(small: robots.Truth, tmp_path: Path) -> None:
+    rows = robots.table(small).assign(station=np.array(["north <b>", "south"])[np.arange(40) % 2])
+    found = identify(robots.write_campaign(tmp_path, small, rows, frames={"world_base": {"per": "station"}}))
     report = whole_page(found)
     assert_sound(report)
     for label in ("north <b>", "south"):
         assert [row[0] for row in table(report, f"world_base[{label}]")] == ["x", "y", "z", "roll", "pitch", "yaw"]
-
-
-def test_of_a_hundred_refused_rows_some_are_named_and_all_are_counted(truth: robots.Truth, tmp_path: Path) -> None:
-    rows = pd.concat([robots.table(truth)] * 2, ignore_index=True)
-    rows.loc[120:219, "qx"] = np.nan
-    report = whole_page(identify(robots.write_campaign(tmp_path, truth, rows.head(220))))
-    shown = text(report, "//section[@id='data']")
-    assert dict(table(report, "Rows of"))["refused: unusable"] == "100"
-    assert "line 122" in shown
-    assert "line 200" not in shown
-    assert "and 75 more" in shown
 
 
 def test_many_outliers_question_the_data(outcome: Outcome, report: str) -> None:

@@ -52,9 +52,9 @@ def is_kind(node: ast.AST) -> bool:
     )
 
 
-def rows_imported(tree: ast.AST) -> Iterator[tuple[int, str]]:
+def rows_imported(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
     """Rows of the table that are imported by name: their module's, not the table's."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("aridcal.engine.instruments."):
             there = importlib.import_module(str(node.module))
             yield from (
@@ -65,7 +65,8 @@ def rows_imported(tree: ast.AST) -> Iterator[tuple[int, str]]:
 def questions(source: str) -> list[tuple[int, str]]:
     """Lines of a module that ask for a kind's name, and what they ask."""
     tree = ast.parse(source)
-    typed = {id(n) for s in ast.walk(tree) if isinstance(s, ast.Subscript) for n in ast.walk(s.slice)}
+    nodes = list(ast.walk(tree))
+    typed = {id(n) for s in nodes if isinstance(s, ast.Subscript) for n in ast.walk(s.slice)}
     bound = {
         target.id: words(node.value, {})
         for node in tree.body
@@ -74,8 +75,8 @@ def questions(source: str) -> list[tuple[int, str]]:
         if isinstance(target, ast.Name)
         and isinstance(node.value, (ast.Constant, ast.Tuple, ast.List, ast.Set, ast.Call))
     }
-    found = list(rows_imported(tree))
-    for node in ast.walk(tree):
+    found = list(rows_imported(nodes))
+    for node in nodes:
         if isinstance(node, ast.Compare):
             sides = [node.left, *node.comparators]
             said = set().union(*(words(side, bound) for side in sides))

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from repository import ROOT
+from repository import ROOT, statements
 
 import aridcal
 
@@ -63,7 +63,7 @@ def name_of(path: Path) -> str:
 def imported(source: str, name: str, package: bool = False) -> Iterator[str]:
     """Full names of all that a module imports, wherever in it: ``from a import b`` gives ``a`` and ``a.b``."""
     home = name.split(".") if package else name.split(".")[:-1]
-    for node in ast.walk(ast.parse(source)):
+    for node in statements(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
-from repository import ROOT
+from repository import ROOT, statements
 
 import aridcal
 from aridcal.doctor import IMPORTED_AS
@@ -51,19 +51,22 @@ NOT_OURS = {"IPython"}
 def used(source: str) -> set[str]:
     """Packages that a module imports, or looks for by name."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in statements(source):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             found.add(node.module)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("find_spec", "import_module")):
+    for node in ast.walk(ast.parse(source)) if re.search("find_spec|import_module", source) else ():
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("find_spec", "import_module")):
             found |= {a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)}
     return {name.split(".")[0] for name in found} - set(sys.stdlib_module_names) - {"aridcal"}
 
 
 def test_imports_are_found_wherever_they_are() -> None:
     source = "import a.b\nfrom c.d import e\nfrom . import f\nimport os\ndef g():\n    import h\nfind_spec('i')"
-    assert used(source) == {"a", "c", "h", "i"}
+    source += "\ntry:\n    import j\nexcept ImportError:\n    import k\nelse:\n    import l\nfinally:\n    import m"
+    source += "\nmatch n:\n    case 1:\n        import o\nwith p:\n    for q in r:\n        import s"
+    assert used(source) == {*"achijklmos"}
 
 
 @pytest.fixture(scope="module")

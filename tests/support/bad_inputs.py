@@ -73,6 +73,8 @@ NO_FILES: dict[str, tuple[Callable[[Path], object], str]] = {
     "blanks": (lambda path: path.write_bytes(b" \n\n"), "is empty"),
 }
 
+RARE = {"a socket", "a link to itself", "a file of the kernel", "blanks"}
+
 READ_BY: dict[str, tuple[str, ...]] = {
     "robot.urdf": IDENTIFY,
     "measurements.csv": INIT,
@@ -91,6 +93,8 @@ READ_BY: dict[str, tuple[str, ...]] = {
 def no_files() -> Iterator[tuple[str, Case]]:
     for name, command in READ_BY.items():
         for what, (make, says) in NO_FILES.items():
+            if what in RARE and name not in ("campaign.yaml", "measurements.csv", "0.png"):  # one reader of each kind
+                continue
             if (name, what) not in (("calibration.yaml", "a folder"),):  # a result folder is as good as its file
                 linked = "lies outside the folder" if name == "0.png" else says
                 yield f"{name} is {what}", Case(command, instead(name, make), rf"{re.escape(name)}.*({says}|{linked})")
@@ -153,7 +157,7 @@ def renamed(name: str) -> Spoil:
 URDFS: dict[str, tuple[Spoil, str]] = {
     "4,000 links in a row": (urdf(links_in_a_row(4000)), "'l4000' is 4,000 joints from the root, at most 200"),
     "201 links in a row": (urdf(links_in_a_row(201)), "201 joints from the root, at most 200.*Merge"),
-    "100,000 links": (urdf(links_side_by_side(100_000)), "has 100,001 links, at most 10,000"),
+    "10,001 links": (urdf(links_side_by_side(10_000)), "has 10,001 links, at most 10,000"),
     "1,000 moving joints": (urdf(links_side_by_side(1000, "continuous")), "1,000 joints move, at most 150"),
     "a loop": (
         urdf(
@@ -338,6 +342,9 @@ def numbers() -> Iterator[tuple[str, Case]]:
     for place, (file, says) in NUMBER_KEYS.items():
         for what, value in NUMBERS.items():
             if place == "effects.0.order.0" and what == "a list":
+                continue
+            once = place in ("limits.table_mb", "camera.fx", "truth.n")  # such digits are refused before keys are read
+            if what == "10^400" and not once:
                 continue
             if what == "10^400":  # Python itself does not write so many digits
                 marked = key(file, place, "DIGITS")
@@ -722,11 +729,11 @@ def zeros(count: int, names: tuple[str, ...] = ("joint_1",)) -> pa.Table:
 
 
 def a_parquet_of_zeros(folder: Path) -> None:
-    """2e8 zeros in two columns: 40 row groups that say the same, in 30 kB."""
+    """7e7 zeros in two columns: row groups that say the same, in 10 kB."""
     rows = 5_000_000
     table = zeros(rows, ("joint_1", "joint_2"))
     with pq.ParquetWriter(folder / "m.parquet", table.schema) as writer:
-        for _ in range(20):
+        for _ in range(7):
             writer.write_table(table, row_group_size=rows)
     key("campaign.yaml", "measurements.file", "m.parquet")(folder)
 
@@ -762,7 +769,7 @@ def flipped(place: int) -> Spoil:
 
 
 PARQUETS: dict[str, tuple[Spoil, str]] = {
-    "2e8 zeros": (a_parquet_of_zeros, "100,000,000 rows of 2 columns would take 1,600 MB, at most 500 MB.*table_mb"),
+    "7e7 zeros": (a_parquet_of_zeros, "35,000,000 rows of 2 columns would take 560 MB, at most 500 MB.*table_mb"),
     "a long word in every row": (a_word_in_every_row, "the words of column 'note' would take 2,000 MB, at most 500"),
     "half of it": (cut(0.5), "is not a readable Parquet file"),
     "its first bytes": (cut(0.01), "is not a readable Parquet file|is empty"),

@@ -115,16 +115,6 @@ def fail(code: int) -> Callable[[str], None]:
     return act
 
 
-def killed_at(at: int, body: Callable[[], None]) -> bool:
-    """Run in a child that is killed before its k-th operation; False if it has fewer."""
-    child = os.fork()
-    if child == 0:
-        with acting(at, die):
-            body()
-        os._exit(0)
-    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
-
-
 def standing_in(write: Callable[[Path], None]) -> Callable[[Path], None]:
     """A folder that one stands in is not swapped: its files move one by one."""
 
@@ -149,6 +139,44 @@ WAYS = {
 """Each way in which an output gets into its place."""
 
 
+WRITTEN = 7
+"""How a child ends that was not killed."""
+
+
+def serve() -> None:
+    """Write in a child for each line that is read: the process of all tests is large, and each fork of it slow."""
+    staging.GRACE = 0  # nobody reads
+    for line in sys.stdin:
+        name, place, kill, late = json.loads(line)
+        target = Path(place)
+        child = os.fork()
+        if child == 0:
+            with acting(late, lambda _, target=target: fill(target, {"late.txt": "mine"})), acting(kill, die):
+                WAYS[name](target)
+            os._exit(WRITTEN)
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+
+
+@pytest.fixture(scope="module")
+def killed() -> Iterator[Callable[..., bool]]:
+    """Whether a child that writes in one of the ways was killed before its k-th operation, or had fewer.
+
+    Before another one, ``late``, the user adds a file: two operations that are counted, too.
+    """
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", "from test_kills import serve; serve()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env) as server:
+        assert server.stdin is not None and server.stdout is not None
+
+        def killed_at(name: str, target: Path, kill: int, late: int = -1) -> bool:
+            print(json.dumps([name, str(target), kill, late]), file=server.stdin, flush=True)
+            status = int(server.stdout.readline())
+            assert status in (WRITTEN, -signal.SIGKILL)
+            return status != WRITTEN
+
+        yield killed_at
+
+
 @pytest.fixture(params=WAYS)
 def way(request, monkeypatch) -> tuple[str, Callable[[Path], None]]:
     monkeypatch.setattr(staging, "GRACE", 0)  # nobody reads
@@ -163,7 +191,9 @@ def expected(name: str, earlier: bool) -> tuple[dict[str, str], dict[str, str]]:
 
 
 @pytest.mark.parametrize("earlier", [True, False])
-def test_a_kill_before_any_operation_leaves_old_or_new_and_the_next_run_leaves_nothing_else(tmp_path, way, earlier):
+def test_a_kill_before_any_operation_leaves_old_or_new_and_the_next_run_leaves_nothing_else(
+    tmp_path, way, earlier, killed
+):
     name, write = way
     at, seen = 0, set()
     while True:
@@ -174,7 +204,7 @@ def test_a_kill_before_any_operation_leaves_old_or_new_and_the_next_run_leaves_n
         else:
             home.mkdir()
         before, after = expected(name, earlier)
-        killed = killed_at(at, lambda target=target: write(target))
+        cut = killed(name, target, at)
         found = {k: v for k, v in contents(target).items() if staging.OURS not in k} if target.is_dir() else {}
         if name in ("swapped", "file"):
             assert found in (before, after), at
@@ -189,7 +219,7 @@ def test_a_kill_before_any_operation_leaves_old_or_new_and_the_next_run_leaves_n
         assert {p.name for p in home.iterdir()} <= {"results"}, at
         write(target)
         assert contents(target) == after
-        if not killed:
+        if not cut:
             break
         at += 1
     assert at >= 4
@@ -226,31 +256,15 @@ def test_a_failure_of_any_operation_leaves_old_or_new_and_is_said(tmp_path, way,
     assert at >= 4
 
 
-def test_a_file_that_the_user_adds_at_the_last_moment_is_not_lost_even_by_a_kill(tmp_path, way):
-    _, write = way
+def test_a_file_that_the_user_adds_at_the_last_moment_is_not_lost_even_by_a_kill(tmp_path, way, killed):
     for at in range(200):
         target = tmp_path / str(at) / "results"
         fill(target, OLD)
-        child = os.fork()
-        if child == 0:
-            written = 0
-
-            def add_and_die(*_: str, at=at, target=target) -> None:
-                nonlocal written
-                written += 1
-                if written == at + 1:
-                    fill(target, {"late.txt": "mine"})  # two operations that are counted, too
-                if written == at + 5:
-                    die()
-
-            with watched(add_and_die):
-                write(target)
-            os._exit(7)
-        ended = os.waitpid(child, 0)[1]
+        cut = killed(way[0], target, at + 4, late=at)
         with claimed(target, "folder"):
             pass
-        assert (target / "late.txt").exists() or os.waitstatus_to_exitcode(ended) == 7, at
-        if os.waitstatus_to_exitcode(ended) == 7:
+        assert (target / "late.txt").exists() or not cut, at
+        if not cut:
             break
     assert at >= 4
 

@@ -160,21 +160,21 @@ def a_row_of(count: int, kind: str = "fixed") -> bytes:
     return f'<robot name="r">{links}{joints}</robot>'.encode()
 
 
-def test_the_deepest_tree_that_is_allowed_is_read_in_the_stack_of_a_thread() -> None:
+def test_the_deepest_tree_that_is_allowed_is_read_in_the_stack_of_a_thread(tmp_path: Path) -> None:
     """The reason of the limit: 512 kB is what macOS gives to a thread. In a process of its own: a failure is a crash."""
     code = f"""
-import sys, threading
-sys.path[:0] = {sys.path!r}
-from test_reading import a_row_of
+import threading
+from pathlib import Path
 from aridcal.engine.robot.chain import parse_robot
 def read():
-    print(parse_robot(a_row_of({MAX_DEPTH - 1}), "l{MAX_DEPTH}").tree.nframes)
+    print(parse_robot(Path("deep.urdf").read_bytes(), "l{MAX_DEPTH}").tree.nframes)
 threading.stack_size(512 * 1024)
 thread = threading.Thread(target=read)
 thread.start()
 thread.join()
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parent)
+    (tmp_path / "deep.urdf").write_bytes(a_row_of(MAX_DEPTH - 1))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 0 and int(done.stdout) > MAX_DEPTH
     with pytest.raises(RobotError, match=f"l{MAX_DEPTH + 1}' is {MAX_DEPTH + 1} joints from the root"):
         read_tree(a_row_of(MAX_DEPTH), Path("r.urdf"))
