@@ -2,6 +2,7 @@
 
 import shutil
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -30,6 +31,12 @@ VIEWS = [
 ]
 
 
+@cache
+def seen(what: str, view: int) -> np.ndarray:
+    """A photograph of a sheet, as one of the views has it; not to be written into."""
+    return photograph(PRINTED[what], VIEWS[view], seed=view)
+
+
 def places_on_the_sheet(what: str) -> dict[str, np.ndarray]:
     """Places of marks on the flat sheet; those of a cube before it is folded."""
     board = BOARDS[what]
@@ -50,9 +57,9 @@ def looked_for(what: str):
 
 
 @pytest.mark.parametrize("what", BOARDS)
-@pytest.mark.parametrize("view", range(len(VIEWS)))
+@pytest.mark.parametrize("view", [1, 2])
 def test_marks_are_found_under_their_names_to_a_tenth_of_a_pixel(what, view):
-    found = find(photograph(PRINTED[what], VIEWS[view], seed=view), looked_for(what))
+    found = find(seen(what, view), looked_for(what))
     places = places_on_the_sheet(what)
     assert set(found.names) == set(places) and len(found.names) == len(places)
     off = np.linalg.norm(
@@ -74,30 +81,30 @@ def circles_seen(seed: int, views: int, **light: float) -> tuple[list[ImageMarks
     """Grids of circles as a drawn camera sees them, how far each circle is from where OpenCV projects it, and the camera."""
     rng = np.random.default_rng([7, seed])
     camera, size = drawn_camera(rng)
-    seen, off = [], []
+    found, off = [], []
     for k in range(views):
         away = camera[0] / 640 * rng.uniform(0.4, 0.5)
         T = looking(*rng.uniform(-0.02, 0.02, 2), away, *rng.uniform(-0.7, 0.7, 2), rng.uniform(-3, 3))
         with suppress(NotMeasured):  # a board that reaches out of the image
-            seen.append(
+            found.append(
                 find(photograph(PRINTED["circles"], T, camera, size, seed=100 * seed + k, **light), BOARDS["circles"])
             )
-            off.append(seen[-1].pixels - pixels_of(seen[-1].places, T, camera))
-    return seen, off, camera
+            off.append(found[-1].pixels - pixels_of(found[-1].places, T, camera))
+    return found, off, camera
 
 
 def test_a_bent_lens_moves_no_circle():
     """Without the lens's share of the shift the worst circle is 0.03 px off, and all together look like a longer focal length."""
-    off = np.concatenate([circle for k in range(3) for circle in circles_seen(k, 3, blur=0.5, noise=0)[1]])
-    assert len(off) > 6 * 44
+    off = np.concatenate([circle for k in range(3) for circle in circles_seen(k, 2, blur=0.5, noise=0)[1]])
+    assert len(off) > 4 * 44
     assert np.abs(off).max() < 0.01 and np.sqrt(np.mean(off**2)) < 0.003
 
 
 def test_the_focal_length_from_circles_is_within_three_of_its_sigmas_for_every_camera():
     scores = []
     for k in range(5):
-        seen, _, camera = circles_seen(k, 6)
-        lens = estimate(seen, (640, 480))
+        circles, _, camera = circles_seen(k, 4)
+        lens = estimate(circles, (640, 480))
         scores.append((lens.intrinsics[:2] - camera[:2]) / lens.std[:2])
     assert np.abs(scores).max() < 3
     # Neither too small nor too large: 5 independent draws, as fx and fy go together, scatter by a third of it.
@@ -110,7 +117,7 @@ def test_blur_is_refused_or_does_no_harm(what):
     sharp = photograph(PRINTED[what], VIEWS[1], blur=0, noise=0)
     places = places_on_the_sheet(what)
     refused = 0
-    for sigma, motion in ((1, True), (3, False), (3, True), (14, False)):
+    for sigma, motion in ((3, False), (3, True), (14, False)):
         image = cv2.blur(sharp, (round(3.5 * sigma) | 1, 1)) if motion else cv2.GaussianBlur(sharp, (0, 0), sigma)
         noise = 1.5 * np.random.default_rng(sigma).normal(size=image.shape)
         try:
@@ -125,7 +132,7 @@ def test_blur_is_refused_or_does_no_harm(what):
 
 @pytest.mark.parametrize("what", ["charuco", "cube"])
 def test_what_is_mirrored_is_named_and_refused(what):
-    image = photograph(PRINTED[what], VIEWS[1])
+    image = seen(what, 1)
     for axis in (0, 1):
         with pytest.raises(NotMeasured, match="mirrored"):
             find(np.ascontiguousarray(np.flip(image, axis)), looked_for(what))
@@ -137,16 +144,16 @@ def test_nothing_is_found_where_nothing_is(what):
     rng = np.random.default_rng(0)
     other = "circles" if what != "circles" else "charuco"
     for image in (
-        np.full((480, 640), 128, np.uint8),
-        rng.integers(0, 255, (480, 640), np.uint8),
-        photograph(PRINTED[other], VIEWS[1]),
+        np.full((240, 320), 128, np.uint8),
+        rng.integers(0, 255, (240, 320), np.uint8),
+        seen(other, 1),
     ):
         with pytest.raises(NotMeasured):
             find(image, looked_for(what))
 
 
 def test_a_board_of_another_size_is_refused_though_its_markers_are_known():
-    image = photograph(PRINTED["charuco"], VIEWS[1])
+    image = seen("charuco", 1)
     for size in ("9x6", "5x7", "8x5"):
         board = board_of("charuco", {**ALL_BOARDS["charuco"], "size": tuple(map(int, size.split("x")))})
         with pytest.raises(NotMeasured, match=f"{size} squares"):
@@ -154,13 +161,13 @@ def test_a_board_of_another_size_is_refused_though_its_markers_are_known():
 
 
 def test_a_tag_twice_in_an_image_is_refused():
-    image = photograph(PRINTED["cube"], VIEWS[0])
+    image = seen("cube", 0)
     with pytest.raises(NotMeasured, match="seen twice"):
         find(np.hstack([image, image]), looked_for("cube"))
 
 
 def test_half_a_charuco_board_is_enough_and_half_a_chessboard_is_not():
-    half = {what: photograph(PRINTED[what], VIEWS[0])[:, : SIZE[0] // 2] for what in ("charuco", "chessboard")}
+    half = {what: seen(what, 0)[:, : SIZE[0] // 2] for what in ("charuco", "chessboard")}
     found = find(np.ascontiguousarray(half["charuco"]), BOARDS["charuco"])
     assert 6 <= len(found.names) < 24
     with pytest.raises(NotMeasured, match="seen whole"):
@@ -192,6 +199,14 @@ def taken(tmp_path_factory) -> Path:
     return home
 
 
+@pytest.fixture(scope="module")
+def read(taken, tmp_path_factory) -> Path:
+    """What the command writes of the ChArUco board."""
+    home = tmp_path_factory.mktemp("read")
+    assert main([str(taken / "charuco"), "-o", str(home / "c.csv")]) == 0
+    return home
+
+
 @pytest.fixture
 def images(taken, tmp_path) -> Path:
     """Twelve photographs of a ChArUco board, to be spoilt."""
@@ -211,7 +226,9 @@ def test_images_and_joints_make_a_complete_table_of_pixels_with_its_camera(image
     cv2.imwrite(str(images / "dark.png"), np.zeros((SIZE[1], SIZE[0]), np.uint8))
     (images / "broken.jpg").write_bytes(b"\xff\xd8 no more")
     (images / "notes.txt").write_text("no image")
-    names = [f"shot_{k}.png" for k in range(1, 12)]
+    for k in range(7, 13):
+        (images / f"shot_{k}.png").unlink()
+    names = [f"shot_{k}.png" for k in range(1, 6)]
     out = tmp_path / "out" / "corners.csv"
     assert (
         main([str(images), "--joints", str(joints(tmp_path / "joints.csv", names)), "--camera", "cam", "-o", str(out)])
@@ -220,19 +237,18 @@ def test_images_and_joints_make_a_complete_table_of_pixels_with_its_camera(image
     table = pd.read_csv(out)
     assert list(table.columns) == ["image", "camera", "marker", "u", "v", "shot", "q1", "q2", "temperature", "note"]
     assert set(table["image"]) == set(names) and set(table["camera"]) == {"cam"}
-    assert table.groupby("image")["shot"].nunique().max() == 1 and table["shot"].nunique() == 11
+    assert table.groupby("image")["shot"].nunique().max() == 1 and table["shot"].nunique() == 5
     assert np.allclose(table["q2"], -2 * table["q1"]) and table.groupby("image")["q1"].first()["shot_3.png"] == 0.2
     refused = pd.read_csv(tmp_path / "out" / "refused.csv").set_index("image")["why"]
-    assert set(refused.index) == {"dark.png", "broken.jpg", "shot_12.png"}
-    assert "no row" in refused["shot_12.png"] and "damaged" in refused["broken.jpg"]
+    assert set(refused.index) == {"dark.png", "broken.jpg", "shot_6.png"}
+    assert "no row" in refused["shot_6.png"] and "damaged" in refused["broken.jpg"]
     err = capsys.readouterr().err
-    assert "11 images, 3 images refused" in err and "broken.jpg" in err
+    assert "5 images, 3 images refused" in err and "broken.jpg" in err
 
 
-def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, tmp_path):
-    assert main([str(images), "-o", str(tmp_path / "c.csv")]) == 0
-    text = (tmp_path / "camera.yaml").read_text()
-    camera = camera_by_name(tmp_path / "camera.yaml", "eye")
+def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(read):
+    text = (read / "camera.yaml").read_text()
+    camera = camera_by_name(read / "camera.yaml", "eye")
     assert (camera.width, camera.height, camera.on) == (*SIZE, "tip")
     focal, middle = (
         float(part.split()[0]) for part in text.replace("fx fy ", "|").replace("cx cy ", "|").split("|")[1:3]
@@ -250,23 +266,23 @@ def test_tags_alone_tell_the_camera_too(tmp_path):
     assert np.allclose(camera.intrinsics[:2] / INTRINSICS[:2], 1, atol=0.01)
 
 
-def test_an_image_of_another_board_is_refused_when_the_camera_is_known(images, tmp_path, capsys):
-    assert main([str(images), "-o", str(tmp_path / "c.csv")]) == 0
+def test_an_image_of_another_board_is_refused_when_the_camera_is_known(images, read, tmp_path):
     # The same board on paper that is 8 % too wide: no lens does that.
     image = cv2.imread(str(images / "shot_3.png"), 0)
     wide = cv2.warpAffine(image, np.array([[1.0, 0.12, -40], [0, 1, 0]]), SIZE, borderValue=140)
     cv2.imwrite(str(images / "shot_3.png"), wide)
-    for options in ([], ["--intrinsics", str(tmp_path / "camera.yaml")]):
+    camera = tmp_path / "camera.yaml"
+    shutil.copy(read / "camera.yaml", camera)
+    some = [str(images / f"shot_{k}.png") for k in (1, 2, 3)]
+    for given, options in (([str(images)], []), (some, ["--intrinsics", str(camera)])):
         out = tmp_path / f"again{len(options)}" / "c.csv"
-        assert main([str(images), *options, "-o", str(out)]) == 0
+        assert main([*given, *options, "-o", str(out)]) == 0
         refused = pd.read_csv(out.parent / "refused.csv")
         assert list(refused["image"]) == ["shot_3.png"] and "px off" in refused["why"][0]
         if options:  # what was stated goes along, for `init` to find
-            assert (out.parent / "camera.yaml").read_bytes() == (tmp_path / "camera.yaml").read_bytes()
-    assert main([str(images), "--intrinsics", str(tmp_path / "camera.yaml"), "-o", str(tmp_path / "c.csv")]) == 0
-    assert (
-        camera_by_name(tmp_path / "camera.yaml", "eye").width == SIZE[0]
-    )  # not lost where it is beside the table already
+            assert (out.parent / "camera.yaml").read_bytes() == camera.read_bytes()
+    assert main([some[0], "--intrinsics", str(camera), "-o", str(tmp_path / "c.csv")]) == 0
+    assert camera_by_name(camera, "eye").width == SIZE[0]  # not lost where it is beside the table already
 
 
 def test_without_joints_the_table_has_the_images_alone_and_says_so(images, tmp_path, capsys):
@@ -280,22 +296,25 @@ def test_without_joints_the_table_has_the_images_alone_and_says_so(images, tmp_p
 @pytest.mark.parametrize(
     ("images", "arguments", "hint"),
     [
-        ("charuco/shot_1.png", ["--dictionary", "DICT_4X4_50"], "--board charuco --size 7x5 --dictionary DICT_5X5_50"),
+        ("charuco", ["--dictionary", "DICT_4X4_50"], "--board charuco --size 7x5 --dictionary DICT_5X5_50"),
         ("cube", [], "--board apriltag --dictionary DICT_APRILTAG_36h11"),
-        ("chessboard/shot_1.png", ["--board", "chessboard", "--size", "9x6"], "--board chessboard --size 8x5"),
+        ("chessboard", ["--board", "chessboard", "--size", "9x6"], "--board chessboard --size 8x5"),
         ("circles", ["--board", "circles", "--size", "4x9"], "--board circles --size 4x11"),
     ],
 )
 def test_what_is_there_instead_is_named(images, arguments, hint, taken, tmp_path, capsys):
-    assert main([str(taken / images), *arguments, "-o", str(tmp_path / "c.csv")]) == 2
+    image = cv2.imread(str(taken / images / "shot_1.png"), 0)
+    cv2.imwrite(str(tmp_path / "half.png"), cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    assert main([str(tmp_path / "half.png"), *arguments, "-o", str(tmp_path / "c.csv")]) == 2
     assert f"try `{hint}" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["half.png"]
 
 
 def test_mirrored_images_are_no_other_board(images, tmp_path, capsys):
-    for path in images.iterdir():
-        cv2.imwrite(str(path), cv2.imread(str(path), 0)[:, ::-1])
-    assert main([str(images), "-o", str(tmp_path / "c.csv")]) == 2
+    some = [str(images / f"shot_{k}.png") for k in (1, 2)]
+    for name in some:
+        cv2.imwrite(name, cv2.imread(name, 0)[:, ::-1])
+    assert main([*some, "-o", str(tmp_path / "c.csv")]) == 2
     err = capsys.readouterr().err
     assert "mirrored" in err and "try" not in err
 
@@ -303,7 +322,8 @@ def test_mirrored_images_are_no_other_board(images, tmp_path, capsys):
 def test_images_of_two_cameras_are_not_mixed(images, tmp_path):
     small = cv2.resize(cv2.imread(str(images / "shot_5.png"), 0), (800, 600))
     cv2.imwrite(str(images / "shot_5.png"), small)
-    assert main([str(images), "-o", str(tmp_path / "c.csv")]) == 0
+    some = [str(images / f"shot_{k}.png") for k in (4, 5, 6)]
+    assert main([*some, "-o", str(tmp_path / "c.csv")]) == 0
     refused = pd.read_csv(tmp_path / "refused.csv")
     assert list(refused["image"]) == ["shot_5.png"] and "800 x 600" in refused["why"][0]
 

@@ -1,6 +1,7 @@
 """Arm and head together: the minimum of all image points and ranges, and what no shot can tell apart."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -10,8 +11,10 @@ from heads import MODEL, SETTINGS, START, T_TIP_CAMERA, THETA, Shots, calibrated
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.loads import Payload, Surroundings
+from aridcal.engine.fit.stages import Geometry
 from aridcal.engine.instruments.camera import predict_pixels, predict_ranges
 from aridcal.engine.instruments.camera_sonar import Head, unpacked
+from aridcal.engine.search.loop import CalibratedArm
 from aridcal.jobs.calibrate.pipeline import judge_arm
 
 
@@ -64,9 +67,15 @@ def test_what_the_camera_mounting_shares_with_the_last_link_and_the_base_is_name
     assert redundant["flange_fixed.yaw"][0] == "tip_target.roll"
 
 
+@cache
+def sound() -> tuple[CalibratedArm, Geometry, np.ndarray]:
+    """Shots of a head that is as declared, the geometry of its arm, and the readings."""
+    given, q = shots(40, START, more="diagnosis: {enabled: false}")
+    return *calibrated(given), q
+
+
 def test_a_mounting_that_is_off_is_found_where_it_shows():
-    given, _ = shots(30, START, more="diagnosis: {enabled: false}")
-    fit = calibrated(given)[1].geometric
+    fit = sound()[1].geometric
     found = fit.model.tip_target[0][1]
     off = pin.log6(T_TIP_CAMERA.actInv(found)).vector
     std = np.array([dict(zip(fit.model.names, fit.std, strict=True)).get(f"tip_target.{c}", 0.0)
@@ -79,20 +88,18 @@ def test_a_mounting_that_is_off_is_found_where_it_shows():
 
 
 def test_poses_of_the_camera_are_right_within_a_few_sigma_where_the_head_is_sound():
-    given, q = shots(30, START, more="diagnosis: {enabled: false}")
-    fit = calibrated(given)[0].diagnosed.fit
+    arm, _, q = sound()
+    fit = arm.diagnosed.fit
     off = (poses(fit.model, fit.theta, q) - poses(MODEL, THETA, q))[:, :3, 3]
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 3e-5
 
 
 def test_an_arm_that_does_not_repeat_weighs_on_the_poses_and_not_on_what_shots_say_by_themselves():
-    found, rng = [], np.random.default_rng(4)
-    for size in (0.0, 2e-4):
-        given, q = shots(40, START, more="diagnosis: {enabled: false}")
-        rows = replace(given.rows, readings=given.rows.readings + size * rng.standard_normal(q.shape))
-        arm = calibrated(replace(given, rows=rows))[0]
-        assert arm.causes is not None
-        found.append(arm.causes)
+    given, q = shots(40, START, more="diagnosis: {enabled: false}")
+    off = 2e-4 * np.random.default_rng(4).standard_normal(q.shape)
+    rows = replace(given.rows, readings=given.rows.readings + off)
+    found = [arm.causes for arm in (sound()[0], calibrated(replace(given, rows=rows))[0])]
+    assert None not in found
     still, shaken = found
     assert not still.further and shaken.further
     assert shaken.total[0] > 3 * still.total[0]
@@ -107,11 +114,10 @@ def test_what_an_arm_lacks_and_nobody_seeks_is_structure_in_shots_as_it_is_in_po
     bends = Coefficient("joint_3", "axis", Basis("linear", ("joint_3.gravity_torque",), (0.0,)))
     around = Surroundings(np.array([0.0, 9.81, 0.0]), (Payload(T_TIP_CAMERA.translation),))
     model = replace(MODEL.with_coefficients((*MODEL.coefficients, bends)), around=around)
-    off = "diagnosis: {enabled: false}"
-    for size, words in ((0.0, {"noise_floor"}), (2e-6, {"structure_remains"})):
-        given, _ = shots(60, START, more=off, model=model, theta=np.append(THETA, size))
-        said = judge_arm(calibrated(given)[0])
-        count = unpacked(given.rows.observed, 4).count
-        assert count.min() < 6 + 13 <= count.max()
-        assert said.verdict.word in words
-        assert all(np.isfinite(clue.share) for clue in said.clues)
+    assert judge_arm(sound()[0]).verdict.word == "noise_floor"
+    given, _ = shots(60, START, more="diagnosis: {enabled: false}", model=model, theta=np.append(THETA, 2e-6))
+    said = judge_arm(calibrated(given)[0])
+    count = unpacked(given.rows.observed, 4).count
+    assert count.min() < 6 + 13 <= count.max()
+    assert said.verdict.word == "structure_remains"
+    assert all(np.isfinite(clue.share) for clue in said.clues)

@@ -39,6 +39,12 @@ def folder(tmp_path: Path) -> Path:
     return some_of_the_shots(tmp_path, EVERY)
 
 
+@pytest.fixture
+def three(tmp_path: Path) -> Path:
+    """Three of the shipped shots, where they are only read."""
+    return some_of_the_shots(tmp_path, 30)
+
+
 def some_of_the_shots(tmp_path: Path, every: int) -> Path:
     for name in ("head.yaml", "squares.csv"):
         shutil.copy(STRIP / name, tmp_path)
@@ -72,9 +78,11 @@ def cached(folder: Path) -> Path:
     return path
 
 
-def test_fiducials_are_looked_for_again_with_the_lens_that_was_found(tmp_path, capsys):
+def test_fiducials_are_looked_for_again_with_the_lens_that_was_found(folder, capsys):
     """Second road: the same images read with a head.yaml that is right."""
-    folder = some_of_the_shots(tmp_path, 4)
+    campaign = folder / "campaign.yaml"
+    effects = "[{kind: lens_distortion, where: camera, motion: k1}, {kind: sonar_bias, where: sonar_2}]"
+    campaign.write_text(campaign.read_text().partition("diagnosis:")[0] + f"effects: {effects}\ndiagnosis: {{enabled: false}}\n")
     right = read(folder)[0].detections.fiducials
     head = folder / "head.yaml"
     head.write_text(head.read_text().replace("\ncamera: {", "\ncamera: {distortion: [0.15, 0, 0, 0, 0], "))
@@ -94,12 +102,12 @@ def test_fiducials_are_looked_for_again_with_the_lens_that_was_found(tmp_path, c
         assert again == pytest.approx(rms, rel=1e-6)
 
 
-def test_an_image_that_changed_is_read_anew(folder):
-    cache = cached(folder)
+def test_an_image_that_changed_is_read_anew(three):
+    cache = cached(three)
     before = pd.read_csv(cache)
-    image = sorted((folder / "images").iterdir())[0]
+    image = sorted((three / "images").iterdir())[0]
     image.write_bytes(image.read_bytes() + b"\0")  # the same picture, other bytes
-    again, said = read(folder, cache)
+    again, said = read(three, cache)
     assert "reading 1 images" in said
     assert before["shot"][again.detections.fiducials["digest"] != before["digest"]].nunique() == 1
     pd.testing.assert_frame_equal(again.detections.fiducials.drop(columns="digest"), before.drop(columns="digest"))
@@ -108,9 +116,9 @@ def test_an_image_that_changed_is_read_anew(folder):
 @pytest.mark.parametrize(
     "text", ["", "shot,square\n1,2\n", "shot,square,fiducial,u,v,std_u,std_v,digest\n2,0,1,a,,,,x\n"]
 )
-def test_a_spoilt_cache_is_no_cache(folder, text):
-    (folder / "spoilt.csv").write_text(text)
-    assert "reading 14 images" in read(folder, folder / "spoilt.csv")[1]
+def test_a_spoilt_cache_is_no_cache(three, text):
+    (three / "spoilt.csv").write_text(text)
+    assert "reading 3 images" in read(three, three / "spoilt.csv")[1]
 
 
 def test_shots_that_cannot_be_used_are_named_and_the_others_are_used(folder):
@@ -152,18 +160,18 @@ def test_without_a_usable_shot_nothing_is_written(folder, capsys):
         ("", ["--verify", "other.csv"], "--verify"),
     ],
 )
-def test_what_a_head_cannot_do_is_said(folder, capsys, line, arguments, message):
-    path = folder / "campaign.yaml"
+def test_what_a_head_cannot_do_is_said(three, capsys, line, arguments, message):
+    path = three / "campaign.yaml"
     path.write_text(path.read_text() + line + "\n")
     assert main([str(path), *arguments]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
 
 
-def test_ranges_and_squares_are_no_covariates_but_other_columns_are(folder):
-    table = pd.read_csv(folder / "shots.csv")
+def test_ranges_and_squares_are_no_covariates_but_other_columns_are(three):
+    table = pd.read_csv(three / "shots.csv")
     table["temperature"] = np.linspace(20, 25, len(table))
-    table.to_csv(folder / "shots.csv", index=False)
-    shots, _ = read(folder)
+    table.to_csv(three / "shots.csv", index=False)
+    shots, _ = read(three)
     assert set(shots.rows.covariates) == {"temperature"}
 
 

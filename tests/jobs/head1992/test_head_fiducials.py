@@ -36,11 +36,13 @@ PLAIN = ImageAppearance()
 def look(T, scene=PLAIN, seed=0, squares=STRIP, intrinsics=INTRINSICS, size=512) -> tuple[np.ndarray, Sonars]:
     rng = np.random.default_rng(seed)
     seen = {k: T @ np.linalg.inv(STRIP[2]) @ S for k, S in squares.items()}
+    return render(seen, intrinsics, size, size, scene, rng), heard(T, rng)
+
+
+def heard(T: np.ndarray, rng: np.random.Generator) -> Sonars:
+    """What the sonars of a camera at T say."""
     h, _ = predict_ranges(T, CORNERS, "perpendicular")
-    return (
-        render(seen, intrinsics, size, size, scene, rng),
-        Sonars(h + 2.5e-4 * rng.normal(size=4), CORNERS, "perpendicular", 2.5e-4),
-    )
+    return Sonars(h + 2.5e-4 * rng.normal(size=4), CORNERS, "perpendicular", 2.5e-4)
 
 
 def covered(T, fiducials, size=0.016, reflectance=0.5) -> tuple[Patch, ...]:
@@ -82,8 +84,8 @@ def test_centres_are_true_to_hundredths_of_a_pixel_and_their_covariance_is_hones
 
 def test_sigmas_are_honest_in_large_and_quiet_images_too():
     """Where the pixels' noise is next to nothing, what the edge model is said to be wrong by is most of a sigma."""
-    size = 1024
-    intrinsics = np.array([1400.0, 1400.0, (size - 1) / 2, (size - 1) / 2, 0, 0, 0, 0, 0])
+    size = 768
+    intrinsics = np.array([1050.0, 1050.0, (size - 1) / 2, (size - 1) / 2, 0, 0, 0, 0, 0])
     of_centres = []
     for k, T in enumerate(VIEWS[:3]):
         image, sonars = look(T, ImageAppearance(noise=0.5), seed=20 + k, intrinsics=intrinsics, size=size)
@@ -144,7 +146,7 @@ def test_an_undeclared_bend_of_the_lens_drops_no_fiducials():
     assert np.sqrt(np.mean(errors(found, T, bent) ** 2)) < 0.02  # where they are seen, not where they should be
 
 
-@pytest.mark.parametrize("turn", [np.pi / 2, np.pi, 2.5])
+@pytest.mark.parametrize("turn", [np.pi / 2, np.pi])
 def test_the_corner_marker_tells_upside_down(turn):
     T = pose(0.3, -0.2, 0.3, turn=turn)
     image, sonars = look(T)
@@ -292,8 +294,7 @@ def test_an_image_without_a_square_is_refused(kind):
         "noise": rng.integers(0, 256, (512, 512)),
         "chessboard": 30 + 170 * board,
     }[kind].astype(np.uint8)
-    _, sonars = look(pose())
-    assert refusal(image, sonars, AROUND)
+    assert refusal(image, heard(pose(), rng), AROUND)
 
 
 def test_what_is_measured_does_not_depend_on_what_the_sonars_get_wrong_by_some_per_cent():

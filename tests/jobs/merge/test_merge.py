@@ -78,7 +78,7 @@ def plain(small: Made) -> pd.DataFrame:
 
 @pytest.mark.parametrize(
     ("n", "seed", "offset", "drift", "wrong"),
-    [(30, 11, 3.7, 4e-5, 0.0), (12, 12, -1000.0, 0.0, 5e-3), (12, 13, 3.7, 5e-4, 5e-3)],
+    [(20, 11, 3.7, 4e-5, 0.0), (12, 12, -1000.0, 0.0, 5e-3), (12, 13, 3.7, 5e-4, 5e-3)],
 )
 def test_clocks_and_rows_are_those_that_were_simulated(
     n: int, seed: int, offset: float, drift: float, wrong: float
@@ -106,16 +106,13 @@ def test_what_the_clocks_are_said_to_be_known_to_is_how_well_they_are() -> None:
     assert is_likely(np.array(z))
 
 
-@pytest.mark.parametrize("how", ["absent", "nan", "zero", "frozen"])
+@pytest.mark.parametrize("how", ["nan", "zero", "frozen"])
 def test_a_stop_in_which_the_tracker_lost_its_target_is_named_and_makes_no_row(small: Made, how: str) -> None:
     time = small.joints_clock(small.tracker["time"].to_numpy())
     gone = (time > small.arrived[5] - 0.5) & (time < small.left[5] + 0.3)
     tracker = small.tracker.copy()
-    if how == "absent":
-        tracker = tracker[~gone]
-    else:
-        tracker.loc[gone, XYZ + TURN] = 0.0 if how == "zero" else np.nan
-        tracker = tracker.ffill() if how == "frozen" else tracker
+    tracker.loc[gone, XYZ + TURN] = 0.0 if how == "zero" else np.nan
+    tracker = tracker.ffill() if how == "frozen" else tracker
     found = join(small.joints, tracker)
     assert sorted(set(range(STOPS)) - set(rows_of(found, small).tolist())) == [5]
     assert "lost its target" in str(found.unpaired[0])
@@ -140,7 +137,7 @@ def test_equal_times_at_other_poses_are_no_repetition() -> None:
     assert all(one.end < 20 or one.begin > 52 for one in found.unpaired), found.unpaired
 
 
-@pytest.mark.parametrize("step", [-3.0, 0.05, 2.0])
+@pytest.mark.parametrize("step", [-3.0, 0.05])
 def test_a_clock_that_was_set_is_refused(small: Made, step: float) -> None:
     tracker = small.tracker.copy()
     tracker.loc[len(tracker) // 2 :, "time"] += step
@@ -195,7 +192,7 @@ def without_motion(table: pd.DataFrame, columns: list[str], noise: float) -> pd.
 def test_what_cannot_be_joined_is_refused_with_the_remedy(small: Made, what: str, said: str) -> None:
     joints, tracker, names = small.joints, small.tracker, list(ROBOT.readings)
     if what == "another motion":
-        tracker = made_logs.made(ROBOT, n=20, seed=9).tracker
+        tracker = made_logs.made(ROBOT, n=STOPS, seed=9).tracker
     elif what == "no overlap":
         joints, tracker = joints[: len(joints) // 3], tracker[len(tracker) // 2 :]
     elif what.endswith("robot at rest"):
@@ -221,7 +218,7 @@ def test_what_cannot_be_joined_is_refused_with_the_remedy(small: Made, what: str
 
 
 def test_samples_that_depend_on_each_other_count_for_less() -> None:
-    truth = made_logs.made(ROBOT, n=40, seed=5, noise=(0.0, 1e-4), rates=(125.0, 20.0))
+    truth = made_logs.made(ROBOT, n=40, seed=5, noise=(0.0, 1e-4), rates=(25.0, 20.0))
     rng, rho = np.random.default_rng(5), 0.8
     noise = rng.normal(size=(len(truth.tracker), 3))
     for k in range(1, len(noise)):
@@ -305,13 +302,20 @@ def test_rounded_instruments_get_no_sigma_below_their_last_digit() -> None:
     assert np.mean((off / found.table[STD[:3]].to_numpy()) ** 2) < 1.6
 
 
+@pytest.fixture(scope="module")
+def recorded() -> tuple[Made, pd.DataFrame]:
+    """Logs as a bag may hold them, and their rows: ROS 1 has no times before 1970."""
+    truth = made_logs.made(ROBOT, n=8, seed=8, offset=-20.0)
+    return truth, join(truth.joints[::4], truth.tracker).table
+
+
 @pytest.mark.parametrize(("how", "as_tf"), [("ros1", False), ("mcap", False), ("sqlite3", True)])
-def test_a_bag_gives_the_same_table(tmp_path: Path, how: str, as_tf: bool) -> None:
-    truth = made_logs.made(ROBOT, n=10, seed=8, offset=-20.0)  # ROS 1 has no times before 1970
-    joints, tracker = truth.joints[::4], truth.tracker
+def test_a_bag_gives_the_same_table(
+    recorded: tuple[Made, pd.DataFrame], tmp_path: Path, how: str, as_tf: bool
+) -> None:
+    truth, plain = recorded
     bag = tmp_path / ("run.bag" if how == "ros1" else "run")
-    made_bags.write_bag(bag, joints, tracker, how, as_tf, "wrist_3_link" if as_tf else "")
-    plain = join(joints, tracker).table
+    made_bags.write_bag(bag, truth.joints[::4], truth.tracker, how, as_tf, "wrist_3_link" if as_tf else "")
     files = [bag, *bag.glob("*.mcap")] if bag.is_dir() else [bag]
     for file in files:
         table = join(file, None).table  # stamps of ROS are whole nanoseconds

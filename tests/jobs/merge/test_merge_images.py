@@ -31,7 +31,7 @@ UR10 = robots.URDF / "ur10.urdf"
 ROBOT = robots.ur10()
 MADE = made_logs.made(ROBOT, n=6, seed=4, encoder=1e-7)
 JOINTS = MADE.joints[::5]
-SIZE = (240, 180)
+SIZE = (120, 90)
 ARGUMENTS = ["--urdf", str(UR10), "--tip", "tool0", "-o"]
 
 SCENES = [cv2.resize(np.random.default_rng(k).integers(0, 255, (6, 8, 3), np.uint8), SIZE) for k in range(6)]
@@ -148,7 +148,7 @@ def test_a_measuring_head_takes_the_table_the_images_and_the_camera(tmp_path: Pa
 
 def test_a_moving_picture_and_clocks_that_differ_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     jumpy = [
-        (t, np.roll(image, 40 * (i % 2), axis=1) if MADE.arrived[2] < t < MADE.left[2] else image)
+        (t, np.roll(image, 20 * (i % 2), axis=1) if MADE.arrived[2] < t < MADE.left[2] else image)
         for i, (t, image) in enumerate(FILM)
     ]
     made_bags.write_camera_bag(tmp_path / "jumpy", JOINTS, jumpy, "bgr8", None)
@@ -160,7 +160,7 @@ def test_a_moving_picture_and_clocks_that_differ_are_told(tmp_path: Path, capsys
     assert len(list((tmp_path / "a_images").iterdir())) == 5
     for late, what in ((3.0, "the picture moves at"), (1e6, "no image is of the time")):
         bag = tmp_path / f"late{late:g}"
-        made_bags.write_camera_bag(bag, JOINTS, filmed(SCENES, late, 8.0), "bgr8", None)
+        made_bags.write_camera_bag(bag, JOINTS, filmed(SCENES, late), "bgr8", None)
         assert main([str(bag), *ARGUMENTS, str(tmp_path / "b.csv")]) == 2
         assert what in capsys.readouterr().err
     assert not (tmp_path / "b.csv").exists()
@@ -216,14 +216,14 @@ def test_a_bag_with_a_target_and_a_camera_asks_which_is_meant(
         ({"model": "equidistant"}, "/c/image_raw", "lens model 'equidistant'"),
         ({"D": (0.1, 0, 0, 0, 0, 0.2, 0, 0), "model": "rational_polynomial"}, "/c/image_raw", "'rational_polynomial'"),
         ({"K": (0.0,) * 9}, "/c/image_raw", "never calibrated"),
-        ({"width": 120}, "/c/image_raw", "of 120 x 180 pixels, the images have 240 x 180"),
+        ({"width": 60}, "/c/image_raw", "of 60 x 90 pixels, the images have 120 x 90"),
         ({"D": ()}, "/c/image_raw", ""),
         ({"D": (0.1, 0.2, 0, 0)}, "/c/image_raw", ""),
         ({}, "/c/image_rect_color", "straightened"),
     ],
 )
 def test_camera_infos_that_no_campaign_can_hold_are_not_taken(change: dict, topic: str, said: str) -> None:
-    made = {"width": 240, "height": 180, "model": "plumb_bob", "D": (0.1, 0.2, 0.0, 0.0, 0.3)}
+    made = {"width": 120, "height": 90, "model": "plumb_bob", "D": (0.1, 0.2, 0.0, 0.0, 0.3)}
     made |= {"K": (200.0, 0.0, 120.0, 0.0, 201.0, 90.0, 0.0, 0.0, 1.0)}
     made |= {"P": (190.0, 0.0, 121.0, 0.0, 0.0, 191.0, 91.0, 0.0, 0.0, 0.0, 1.0, 0.0)}
     camera = BagCamera("bag", topic, np.zeros(1), False, (CameraInfo(**(made | change)),))
@@ -235,8 +235,8 @@ def test_camera_infos_that_no_campaign_can_hold_are_not_taken(change: dict, topi
             "fy": 191.0,
             "cx": 121.0,
             "cy": 91.0,
-            "width": 240,
-            "height": 180,
+            "width": 120,
+            "height": 90,
             "distortion": [0.0] * 5,
         }
     elif said:
