@@ -12,6 +12,7 @@ import pytest
 import robots
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
+from searched import searched
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
@@ -24,7 +25,7 @@ from aridcal.engine.levels import RARE
 from aridcal.engine.model.model import Model
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.halves import PATTERNS, Division, Halves, _sides, divisions, halves
-from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.engine.trust.second_look import second_look
 
 NOISE = 1e-4
 
@@ -212,11 +213,9 @@ def test_scatter_of_readings_that_is_weighed_is_no_error_of_the_model(tmp_path: 
         truth = robots.simulate(robots.ur10(), 60, rng, 1e-3, 5e-5)
         read = truth.readings + 3e-4 * rng.standard_normal((60, 6))
         truth = replace(truth, measured=replace(truth.measured, readings=read))
-        outcome = identify(robots.write_campaign(tmp_path, truth))
-        assert outcome.measurements.relative is not None
-        looked = outcome.second_look
-        assert looked is not None
-        found = looked.halves["final"]
+        arm = searched(robots.write_campaign(tmp_path, truth)).arm
+        assert arm.rows.relative is not None
+        found = second_look(arm.geometry.geometric, arm.diagnosed.fit, arm.rows.fitted).halves["final"]
         assert found is not None and found.p_value > 0.01
 
 
