@@ -9,6 +9,8 @@ from pathlib import Path
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.fit.constants import station_labels
 from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.fit.question import Question
+from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.jobs.calibrate.job_inputs import read_job
@@ -59,6 +61,10 @@ class Searched:
 def searched(campaign: Path) -> Searched:
     """A campaign from its files up to its calibrated arm."""
     job = read_job(campaign)
-    question, labels = job.campaign.question, station_labels(job.campaign.question, job.rows)
-    geometry = fit_constants(question, job.robot, job.rows, labels)
-    return Searched(calibrated_arm(question, job.robot, job.rows, labels, geometry, SILENT))
+    return searched_rows(job.campaign.question, job.robot, job.rows)
+
+
+def searched_rows(question: Question, robot: Robot, rows: Dataset) -> Searched:
+    """Rows up to their calibrated arm."""
+    labels = station_labels(question, rows)
+    return Searched(calibrated_arm(question, robot, rows, labels, fit_constants(question, robot, rows, labels), SILENT))

@@ -260,7 +260,7 @@ def test_too_few_rows_begin_somewhere_and_never_fail() -> None:
         for on_tip, board in ((True, False), (False, True)):
             made = cut(pictures(1, on_tip, board, shots=2), n)
             assert made.begun()
-            if n == 7:  # what no image has
+            if n == 7 and on_tip:  # what no image has
                 assert replace(made, observed=np.full_like(made.observed, 1e5)).begun()
 
 

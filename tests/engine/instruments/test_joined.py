@@ -13,10 +13,12 @@ import pytest
 import two_arms
 import yaml
 from scipy.spatial.transform import Rotation
+from searched import searched
 
 import aridcal
 from aridcal.engine.instruments.joined import JOINED
 from aridcal.jobs.calibrate.job_inputs import read_job
+from aridcal.jobs.calibrate.saved_model import SolvedModel
 from aridcal.runs.repair_folder import recalibrate
 from aridcal.system.errors import AridcalError
 
@@ -86,12 +88,11 @@ def test_grasps_are_among_the_results_and_on_the_report(
 
 def test_a_tracker_beside_it_tells_the_rest(tmp_path: Path) -> None:
     robot, path = write(tmp_path, ("tracker", "joined"), 64, diagnosis={"enabled": False})
-    found = aridcal.calibrate(path)
+    fit = searched(path).fit
+    model = SolvedModel(fit.model, fit.theta, fit.covariance)
     q = np.random.default_rng(8).uniform(-1.0, 1.0, (40, len(robot.joints)))
-    told = {
-        side: found.predict(robot.table(q, target=np.full(len(q), side)))[XYZ].to_numpy(float)
-        for side in ("left", "right")
-    }
+    read = robot.table(q)[list(fit.model.robot.readings)].to_numpy()
+    told = {side: model.poses(read, target=np.full(len(q), side))[1] for side in ("left", "right")}
     left, right = (
         np.array([T.act(own) for T in robot.seen(q, "torso", f"{side}_hand")])
         for side, own in (("left", two_arms.LEFT), ("right", two_arms.RIGHT))
