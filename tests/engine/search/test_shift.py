@@ -36,6 +36,9 @@ N = 160
 LEVER = "shoulder_lift_joint"
 SWING = np.array([2.8, 1.2, 1.8, 2.5, 2.5, 2.8])
 MIDDLE = np.array([0.0, -1.2, 0.0, 0.0, 0.0, 0.0])
+FEW = {"candidates": ["shift", "drift", "joint_gain"]}
+"""Kinds to choose from where it is known from other tests that of all kinds none other is taken."""
+
 Moves = list[tuple[int, str, object]]
 
 
@@ -131,7 +134,7 @@ def test_what_moved_is_named_with_its_row_and_the_rest_is_noise(moves: Moves, ki
 def test_a_campaign_that_never_moved_predicts_as_well_as_one_that_did(tmp_path: Path) -> None:
     """An oracle is told the row; what is found by itself misses no more than a tenth above it."""
     machine = Machine(2, [(80, "tip_target", SLIP)])
-    path = machine.campaign(tmp_path)
+    path = machine.campaign(tmp_path, diagnosis=FEW)
     found = machine.miss(solved(searched(path)))
     keys = yaml.safe_load(path.read_text())
     keys |= {"effects": [{"kind": "shift", "where": "tip_target", "at": {"row": 82}}], "diagnosis": {"enabled": False}}
@@ -143,7 +146,7 @@ def test_the_time_of_a_shift_counts_where_rows_are_in_another_order(tmp_path: Pa
     machine = Machine(3, [(90, "world_base", KNOCK)])
     table = machine.table()
     table["time"] = 1000.0 + 30.0 * np.arange(N)
-    found = searched(machine.campaign(tmp_path, table.sample(frac=1.0, random_state=0)))
+    found = searched(machine.campaign(tmp_path, table.sample(frac=1.0, random_state=0), diagnosis=FEW))
     (effect,) = found.effects
     assert effect.at is not None
     at = moment(effect.at, found.rows)
@@ -158,7 +161,7 @@ def test_the_time_of_a_shift_counts_where_rows_are_in_another_order(tmp_path: Pa
 def test_two_moves_of_one_frame_are_two_effects(tmp_path: Path) -> None:
     back = pin.SE3(pin.exp3(np.array([-5e-4, 0, 2e-4])), np.array([-6e-4, 3e-4, 2e-4]))
     machine = Machine(4, [(50, "world_base", KNOCK), (120, "world_base", back)])
-    found = searched(machine.campaign(tmp_path))
+    found = searched(machine.campaign(tmp_path, diagnosis=FEW))
     (_, first, at_first), (_, second, at_second) = happened(found)
     assert (first, second) == ("world_base", "world_base")
     assert abs(at_first - 52) <= 2
@@ -297,7 +300,7 @@ def test_the_report_and_the_screen_say_what_moved_between_which_rows(knocked: tu
 
 def test_rows_of_another_day_come_after_every_shift(tmp_path: Path) -> None:
     machine = Machine(10, [(70, "tip_target", HEAVY)])
-    path = machine.campaign(tmp_path, diagnosis={"candidates": ["shift", "drift"]})
+    path = machine.campaign(tmp_path, diagnosis=FEW)
     later = replace_rows(machine, 60)
     later.to_csv(tmp_path / "later.csv", index=False)
     outcome = identify(path, verify=tmp_path / "later.csv")
@@ -320,15 +323,14 @@ def test_held_out_rows_beside_a_shift_choose_nothing_and_are_not_held_against_th
     machine = Machine(11, [(78, "world_base", HEAVY)])
     held_out = (np.arange(N) % 6 == 0) | ((np.arange(N) >= 77) & (np.arange(N) < 83))
     table = machine.table().assign(split=np.where(held_out, "test", "train"))
-    few = {"candidates": ["shift", "drift", "joint_gain"]}
-    found = searched(machine.campaign(tmp_path, table, diagnosis=few))
+    found = searched(machine.campaign(tmp_path, table, diagnosis=FEW))
     ((kind, where, row),) = happened(found)
     assert (kind, where) == ("shift", "world_base")
     assert 79 <= row <= 85
     assert found.verdict == "noise_floor"
     spoiled = table.copy()
     spoiled.loc[held_out, "x"] += 5e-4
-    again = searched(machine.campaign(tmp_path, spoiled, diagnosis=few))
+    again = searched(machine.campaign(tmp_path, spoiled, diagnosis=FEW))
     assert happened(again) == happened(found)
     np.testing.assert_array_equal(again.fit.theta, found.fit.theta)
     assert again.verdict == "structure_remains"
@@ -339,7 +341,7 @@ def test_several_files_are_counted_on_and_a_row_is_named_with_its_file(tmp_path:
     table = machine.table()
     table[:60].to_csv(tmp_path / "a.csv", index=False)
     table[60:].to_csv(tmp_path / "b.csv", index=False)
-    found = searched(machine.campaign(tmp_path, table, measurements={"file": ["a.csv", "b.csv"]}))
+    found = searched(machine.campaign(tmp_path, table, measurements={"file": ["a.csv", "b.csv"]}, diagnosis=FEW))
     (effect,) = found.effects
     assert effect.at is not None
     at = moment(effect.at, found.rows)
