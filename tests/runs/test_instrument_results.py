@@ -48,7 +48,7 @@ BLOCKS: dict[str, Callable[[gauges.Arm], tuple[gauges.Measured, ...]]] = {
     "pixels": lambda arm: (gauges.pixels(arm),),
     "inclination": lambda arm: (gauges.levels(arm),),
     "targets": lambda arm: (gauges.positions(arm),),
-    "mixed": lambda arm: (gauges.points(arm), gauges.distances(arm), gauges.pixels(arm, 16)),
+    "mixed": lambda arm: (gauges.points(arm), gauges.distances(arm), gauges.pixels(arm, 10)),
 }
 KEYS = {
     "point": ["position_mm"],

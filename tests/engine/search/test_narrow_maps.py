@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from searched import searched
 
 SIGMA = 1e-4
-N = 250
+N = 200
 JOINT = 2
 PLACE = 0.4
 
@@ -53,7 +53,7 @@ def test_gross_errors_stay_outliers_beside_a_bump(tmp_path: Path) -> None:
     """Six rows off by centimetres anywhere are not explained away, and hide nothing."""
     path = campaign(tmp_path, 0.1, 8e-3, "pose", seed=9)
     rows = robots.pd.read_csv(tmp_path / "measurements.csv")
-    wild = np.array([11, 60, 97, 140, 181, 233])
+    wild = np.array([11, 60, 97, 140, 181, 193])
     rows.loc[wild, "x"] += 0.03
     rows.to_csv(tmp_path / "measurements.csv", index=False, float_format="%.17g")
     found = searched(path)
@@ -74,7 +74,7 @@ def test_a_channel_without_any_noise_is_no_reason_to_stop(tmp_path: Path) -> Non
     robot = robots.ur10()
     truth = robots.simulate(robot, 80, rng)
     rows = robots.placed(truth.measured, position=truth.measured.position + rng.normal(0, SIGMA, (80, 3)))
-    kinds = {"candidates": ["joint_map", "joint_harmonic", "joint_gain"]}
+    kinds = {"candidates": ["joint_map"]}
     path = robots.write_campaign(tmp_path, robots.replace(truth, measured=rows), diagnosis=kinds)
     table = robots.pd.read_csv(tmp_path / "measurements.csv")
     name = robot.names[JOINT]

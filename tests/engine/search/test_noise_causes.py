@@ -26,7 +26,7 @@ from aridcal.pages.drawing.words import causes_in_words
 from aridcal.system.progress import SILENT
 
 UR10 = robots.ur10()
-ROWS = 250
+ROWS = 200
 FRAMES_ALONE = {"parameters": {"set": "none"}, "diagnosis": {"enabled": False}}
 GEOMETRY_ALONE = {"diagnosis": {"enabled": False}}
 

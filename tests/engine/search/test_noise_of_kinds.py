@@ -36,7 +36,7 @@ BLOCKS: dict[str, Callable[[gauges.Arm], gauges.Measured]] = {
     "distance": lambda arm: gauges.distances(arm, 3, 100),
     "point": lambda arm: gauges.points(arm, 4, 20),
     "plane": lambda arm: gauges.heights(arm, 100),
-    "pixels": lambda arm: gauges.pixels(arm, 40),
+    "pixels": lambda arm: gauges.pixels(arm, 30),
 }
 FRAMES_ALONE = {"parameters": {"set": "none"}, "diagnosis": {"enabled": False}}
 

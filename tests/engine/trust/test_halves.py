@@ -111,7 +111,7 @@ def test_p_is_uniform_where_nothing_is_missing_though_the_noise_is_estimated() -
     first = robots.simulate(robots.arid(), 40, np.random.default_rng(0), 1e-3, NOISE)
     model = calibrated(first).model
     found = []
-    for seed in range(1, 61):
+    for seed in range(1, 41):
         truth = robots.simulate(robots.arid(), 40, np.random.default_rng(seed), 1e-3, NOISE)
         result = halves(fit(truth.data(model), weight=np.ones(40)), truth.measured)
         assert result is not None
