@@ -19,6 +19,7 @@ import pandas as pd
 import pytest
 from lxml import html
 from rich.console import Console
+from searched import searched_rows
 
 import aridcal
 from aridcal.calibration import Calibration
@@ -30,6 +31,7 @@ from aridcal.identify import summary
 from aridcal.jobs.calibrate.folder import residual_table, result_document
 from aridcal.jobs.calibrate.instrument_results import known_scale_sigma, scale_std, thing_values
 from aridcal.jobs.calibrate.outcome import Outcome, leading
+from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.pages.drawing.html import join, tag
 from aridcal.pages.report.data_section import data
@@ -46,7 +48,7 @@ BLOCKS: dict[str, Callable[[gauges.Arm], tuple[gauges.Measured, ...]]] = {
     "pixels": lambda arm: (gauges.pixels(arm),),
     "inclination": lambda arm: (gauges.levels(arm),),
     "targets": lambda arm: (gauges.positions(arm),),
-    "mixed": lambda arm: (gauges.points(arm), gauges.distances(arm), gauges.pixels(arm)),
+    "mixed": lambda arm: (gauges.points(arm), gauges.distances(arm), gauges.pixels(arm, 10)),
 }
 KEYS = {
     "point": ["position_mm"],
@@ -83,6 +85,12 @@ def found(name: str) -> Outcome:
     folder = Path(HOME.name) / name
     folder.mkdir()
     return gauges.outcome(folder, *measured(name))
+
+
+@cache
+def saved_of(name: str) -> SavedModel:
+    """What is saved of it."""
+    return calibration(found(name))
 
 
 @cache
@@ -284,17 +292,14 @@ def test_an_effect_is_worth_at_a_place_held_out_what_a_fit_without_it_leaves_the
         "shoulder_lift_joint": {"kind": "joint_gain", "where": "shoulder_lift_joint"},
     }
 
-    def fitted(*where: str) -> Outcome:
-        folder = tmp_path / "-".join(where)
-        folder.mkdir()
-        return gauges.outcome(folder, arm, data, effects=[stated[name] for name in where])
-
     def error(residual: np.ndarray) -> float:
         return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
-    (effect,) = (e for e in fitted(*stated).effects if e.effect.where == "elbow_joint")
+    whole = gauges.outcome(tmp_path, arm, data, effects=list(stated.values()))
+    (effect,) = (e for e in whole.effects if e.effect.where == "elbow_joint")
     # One Gauss-Newton step beside a fit to its end.
-    without = error(fitted("shoulder_lift_joint").stages[-1].residual[held])
+    job = gauges.campaign(tmp_path, arm, data, effects=[stated["shoulder_lift_joint"]])
+    without = error(searched_rows(job.question, arm.robot, data).judged.stages[-1].residual[held])
     assert error(effect.before) == pytest.approx(without, rel=0.02)
 
 
@@ -351,9 +356,7 @@ def test_known_lengths_tell_the_scale_by_their_sigma_over_their_length() -> None
 
 
 def test_a_target_that_is_known_worse_than_the_rows_agree_is_said_to_be_consistent_not_accurate() -> None:
-    weak, strong = (
-        text(drawn(name), "//header") for name in ("pixels", "distance")
-    )  # one small board; wires all around
+    weak, strong = header("pixels"), header("distance")  # one small board; wires all around
     assert re.search(r"! *The target is known to ± 1\.\d mm .* that is consistency, not accuracy", weak)
     assert re.search(r"✓ *The target is known to ± 0\.0\d+ mm \(1σ in its worst direction\)\.", strong)
     assert "not accuracy" not in strong
@@ -368,7 +371,7 @@ def test_a_target_that_is_known_worse_than_the_rows_agree_is_said_to_be_consiste
 def test_a_saved_calibration_predicts_the_target_of_the_outcome(name: str, tmp_path: Path) -> None:
     outcome = found(name)
     m = outcome.measurements
-    (tmp_path / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
+    (tmp_path / "calibration.yaml").write_text(saved_of(name).dump(), encoding="utf-8")
     saved = aridcal.load(tmp_path)
     rows = np.arange(len(m)) if m.labels.target is None else np.flatnonzero(m.labels.target != "tip")
     queries = pd.DataFrame(m.readings[rows], columns=outcome.robot.readings)
@@ -403,13 +406,13 @@ def test_predictions_are_where_the_target_truly_is_but_for_the_place_of_the_base
     U, _, Vt = np.linalg.svd(a.T @ b)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     off = np.linalg.norm(a @ R - b, axis=1)
-    assert np.sqrt(np.mean(off**2)) < 3.0 * calibration(outcome).largest_std[0]
+    assert np.sqrt(np.mean(off**2)) < 3.0 * saved_of(name).largest_std[0]
     before = np.linalg.norm(outcome.stages[0].residual[own][:, :1], axis=1)
     assert np.sqrt(np.mean(off**2)) < 0.5 * np.sqrt(np.nanmean(before**2))
 
 
 def test_the_noise_of_a_saved_calibration_is_that_at_the_target() -> None:
-    noise = {name: calibration(found(name)).noise for name in ("point", "distance", "pixels")}
+    noise = {name: saved_of(name).noise for name in ("point", "distance", "pixels")}
     assert noise["point"] == (pytest.approx(gauges.NOISE["position"], rel=0.1), 1.0)
     assert noise["distance"] == (pytest.approx(gauges.NOISE["distance"], rel=0.15), 1.0)
     assert noise["pixels"][0] == pytest.approx(gauges.NOISE["pixel"] * 0.5 / gauges.LENS[0], rel=0.15)
@@ -433,7 +436,7 @@ def test_the_screen_shows_errors_in_the_units_of_the_instruments(name: str) -> N
 
 @EVERY
 def test_tables_in_python_have_a_column_for_each_channel(name: str) -> None:
-    cal = Calibration(calibration(found(name)), found(name))
+    cal = Calibration(saved_of(name), found(name))
     for key in KEYS[name]:
         quantity, _, unit = key.rpartition("_")
         assert cal.errors.loc[("final", "test"), f"{quantity}_rms_{unit}"] > 0.0

@@ -87,11 +87,15 @@ def arm(seed: int = 1, size: float = SIZE) -> Arm:
 
 def brought(of: Arm, q: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Readings near q, shape (n, columns), that bring the target to places (n, 3); rows that do not get there are left out."""
-    step = 1e-6
+    step, q, away = 1e-6, q.copy(), np.arange(len(q))
     for _ in range(30):
-        p = of.poses(q)[1]
-        J = np.stack([(of.poses(q + step * e)[1] - p) / step for e in np.eye(q.shape[1])], axis=2)
-        q = q + np.clip(np.einsum("nij,nj->ni", np.linalg.pinv(J, rcond=1e-3), places - p), -0.3, 0.3)
+        asked = np.vstack([q[away], *(q[away] + step * e for e in np.eye(q.shape[1]))])
+        p, *moved = of.poses(asked)[1].reshape(-1, len(away), 3)
+        J = np.stack([(other - p) / step for other in moved], axis=2)
+        q[away] += np.clip(np.einsum("nij,nj->ni", np.linalg.pinv(J, rcond=1e-3), places[away] - p), -0.3, 0.3)
+        away = away[np.linalg.norm(places[away] - p, axis=1) > 1e-9]  # the last step was exact to rounding
+        if not len(away):
+            break
     there = np.linalg.norm(of.poses(q)[1] - places, axis=1) < 1e-9
     return q[there & (np.abs(q) < 2 * np.pi).all(axis=1)]
 

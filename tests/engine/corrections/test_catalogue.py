@@ -14,6 +14,7 @@ import pytest
 import robots
 import yaml
 from repository import ROOT
+from searched import searched
 
 from aridcal.engine.corrections.basis import FORMS, Basis, evaluate, values_of_bases
 from aridcal.engine.corrections.catalogue import (
@@ -258,11 +259,17 @@ def test_a_new_kind_is_one_row_and_goes_through_the_whole_loop(
     assert simulate([str(file), "-o", str(made)]) == 2  # there is no such kind
     monkeypatch.setitem(EFFECT_KINDS, "toy", TOY)
     assert simulate([str(file), "-o", str(made)]) == 0
+    if stated:
+        arm = searched(made / "campaign.yaml").arm
+        assert [(e.kind, e.where) for e in arm.diagnosed.declared] == [("toy", "elbow_joint")]
+        k = [c.basis.of for c in arm.diagnosed.fit.model.coefficients].index(("toy",))
+        assert abs(arm.diagnosed.fit.theta[k] - 2e-3) < 5 * arm.diagnosed.fit.std[k]
+        return
     assert identify([str(made / "campaign.yaml"), "--out", str(out)]) == 0
 
     result = json.loads((out / "result.json").read_text("utf-8"))
     (found,) = result["effects"]
-    assert (found["kind"], found["where"], found["declared"]) == ("toy", "elbow_joint", stated)
+    assert (found["kind"], found["where"], found["declared"]) == ("toy", "elbow_joint", False)
     assert found["covariates"] == ["toy"]
     (coefficient,) = found["coefficients"]
     assert abs(coefficient["value"] - 2e-3) < 5 * coefficient["std"]

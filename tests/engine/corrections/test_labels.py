@@ -193,9 +193,10 @@ def test_each_label_s_urdf_alone_predicts_its_rows(halls: tuple[Outcome, Path, n
         assert np.sqrt(np.mean(apart**2)) < 0.2 * NOISE  # at all postures, also those of other labels
         assert entry["rows"]["all"] == (m.labels.station == entry["label"]).sum()
     assert index["region_06"]["rows"] == {"all": 0, "held_out": 0}
-    regions = Calibration(calibration(outcome), outcome).regions
+    saved = SavedModel.load(folder / "calibration.yaml")
+    regions = Calibration(saved, outcome).regions
     assert list(regions["label"]) == [*sorted(LABELS), ""]
-    pd.testing.assert_frame_equal(regions, Calibration(calibration(outcome), folder=folder).regions)
+    pd.testing.assert_frame_equal(regions, Calibration(saved, folder=folder).regions)
 
 
 def test_a_check_takes_rows_of_known_labels_alone(halls: tuple[Outcome, Path, np.ndarray]) -> None:

@@ -13,6 +13,7 @@ import pytest
 import robots
 import yaml
 from scipy.linalg import cholesky
+from searched import Searched, searched
 
 from aridcal.calibration import Calibration
 from aridcal.engine.corrections.basis import FORMS, Basis, wendland
@@ -93,21 +94,21 @@ def test_a_link_that_bends_along_the_rail_is_found_where_it_is(bent: tuple[Outco
 
 
 @pytest.fixture(scope="module")
-def without(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+def without(tmp_path_factory: pytest.TempPathFactory) -> Searched:
     """An arm that is the same everywhere, and nothing is sought."""
-    return identify(simulated(tmp_path_factory.mktemp("plain"), [], 100, diagnosis={"enabled": False}))
+    return searched(simulated(tmp_path_factory.mktemp("plain"), [], 100, diagnosis={"enabled": False}))
 
 
 @pytest.mark.parametrize("stated", [[], [BENT, {"kind": "residual_field", "where": "world_base"}]])
 def test_where_nothing_varies_the_one_model_stays_to_the_last_digit(
-    stated: list[dict[str, object]], without: Outcome, tmp_path: Path
+    stated: list[dict[str, object]], without: Searched, tmp_path: Path
 ) -> None:
     path = simulated(
         tmp_path / "asked", [], 100, effects=stated, diagnosis={"candidates": ["regional", "residual_field"]}
     )
     one = identify(path)
     assert not one.effects
-    np.testing.assert_array_equal(one.stage("final").residual, without.stage("final").residual)
+    np.testing.assert_array_equal(one.stage("final").residual, without.judged.stages[-1].residual)
     said = [notice for notice in one.notices if "the one model of the whole workspace stays" in notice]
     assert len(said) == len(stated)
     assert controller_exports(one).regions is None
@@ -148,21 +149,23 @@ def test_each_region_s_urdf_alone_predicts_the_rows_of_its_region(bent: tuple[Ou
 
 def test_python_has_the_regions_as_a_table_fresh_and_loaded(bent: tuple[Outcome, Path]) -> None:
     outcome, folder = bent
-    fresh = Calibration(calibration(outcome), outcome).regions
-    loaded = Calibration(calibration(outcome), folder=folder).regions
+    saved = calibration(outcome)
+    fresh = Calibration(saved, outcome).regions
+    loaded = Calibration(saved, folder=folder).regions
     pd.testing.assert_frame_equal(fresh, loaded)
     assert list(fresh.index) == sorted(p.stem for p in (folder / "regions").glob("*.urdf"))
     assert fresh["rows_all"].sum() == len(outcome.measurements)
     assert (fresh["low_joint_1"] <= fresh["high_joint_1"]).all()
-    assert Calibration(calibration(outcome), folder=folder / "regions").regions.empty  # no such file there
+    assert Calibration(saved, folder=folder / "regions").regions.empty  # no such file there
 
 
 def test_a_damaged_index_is_refused(bent: tuple[Outcome, Path], tmp_path: Path) -> None:
     (tmp_path / "regions").mkdir()
+    saved = calibration(bent[0])
     for text in ("regions: {region_01: {urdf: a.urdf}}\n", "regions: [1]\n", "regions: &a [*a]\n", "- 1\n"):
         (tmp_path / "regions" / "index.yaml").write_text(text)
         with pytest.raises(AridcalError, match=r"index.yaml"):
-            _ = Calibration(calibration(bent[0]), folder=tmp_path).regions
+            _ = Calibration(saved, folder=tmp_path).regions
 
 
 CENTRE, OFF, REACH = np.array([0.9, 2.2, 0.5]), np.array([3e-4, -4e-4, 3.3e-4]), 0.4  # in the base frame, [m]

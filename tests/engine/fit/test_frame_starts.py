@@ -72,7 +72,7 @@ def test_random_frames_lead_to_the_same_optimum(kind: str, robot) -> None:  # ty
     rng = np.random.default_rng(0)
     base = robots.simulate(robot(), 60, rng, 1e-3, 1e-4, tip=robots.random_placement(rng, 0.3))
     costs = []
-    for _ in range(12):
+    for _ in range(7):
         truth = robots.moved(base, robots.random_placement(rng, 5.0), robots.random_placement(rng, 0.0))
         truth = positions_only(truth) if kind == "position" else truth
         cost, model, theta = optimum(truth, starts(truth))

@@ -103,7 +103,7 @@ def test_what_collides_by_the_exact_meshes_collides_by_their_hulls() -> None:
     path = robots.SHARED_ROBOTS / "ur_description" / "urdf" / "ur10_robot.urdf"
     robot, rng = load_robot(path, "tool0"), np.random.default_rng(0)
     bodies = bodies_of(robot, [], draw_readings(robot, 100, rng))
-    q = draw_readings(robot, 200, rng)
+    q = draw_readings(robot, 100, rng)
     found = touches(robot, bodies.geometry, q)
     model = pin.buildModelFromUrdf(str(path))
     exact = pin.buildGeomFromUrdf(

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import robots
+from searched import searched
 
 from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates
 from aridcal.engine.rows.approach import approach, with_directions
@@ -72,10 +73,10 @@ def test_play_is_found_from_the_order_of_rows_and_said_to_be(played: Outcome) ->
 
 
 def test_where_rows_are_in_no_order_play_is_scatter_of_that_joint(tmp_path: Path) -> None:
-    outcome = identify(campaign(tmp_path, shuffled=True))
-    assert "joint_backlash" not in {e.effect.kind for e in outcome.effects}
-    assert outcome.causes is not None
-    assert [c.name for c in outcome.causes.further] == [robots.ur10().readings[JOINT]]
+    found = searched(campaign(tmp_path, shuffled=True))
+    assert "joint_backlash" not in {effect.kind for effect in found.effects}
+    assert found.arm.causes is not None
+    assert [c.name for c in found.arm.causes.further] == [robots.ur10().readings[JOINT]]
 
 
 def test_nothing_but_backlash_may_depend_on_a_derived_side(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import robots
 import yaml
 from repository import ROOT
 from scipy.spatial.transform import Rotation
+from searched import searched
 
 from aridcal.engine.search import diagnose
 from aridcal.files.yaml_file import load_settings
@@ -78,35 +79,37 @@ def error(outcome: Outcome, stage: str) -> float:
     return float(errors(outcome.stage(stage).residual, outcome.parts()["test"], outcome.channels)["position_mm"]["rms"])
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
-def test_an_undeclared_effect_is_named_and_taken_away(tmp_path, kind):
-    outcome = identify(campaign(tmp_path, [{"kind": kind, **EFFECTS[kind]}]))
-    assert error(outcome, "geometric") > 1.3 * LEAST
-    (found,) = outcome.effects
-    alike = {(found.effect.kind, found.effect.where)} | {(t.kind, t.where) for t in found.confounded_with}
-    assert (kind, EFFECTS[kind]["where"]) in alike
-    assert error(outcome, "final") < 1.15 * LEAST
-    assert outcome.verdict.word == "noise_floor"
+TOGETHER = [
+    ("joint_compliance", "thermal", "joint_coupling"),
+    ("rail_straightness", "joint_backlash", "bearing_compliance"),
+    ("joint_map", "drift", "joint_gain"),
+    ("axis_wobble", "payload_compliance", "joint_harmonic"),
+    ("rail_angular",),
+]
+"""Every kind once."""
 
 
-@pytest.mark.parametrize("kind", ["joint_map", "drift"])
-def test_a_declared_effect_is_fitted_as_it_is_declared(tmp_path, kind):
-    truth = {"kind": kind, **EFFECTS[kind]}
-    path = campaign(tmp_path, [truth])
-    declared = [{"kind": kind, "where": truth["where"]}]
+@pytest.mark.parametrize("kinds", TOGETHER, ids="-".join)
+def test_undeclared_effects_are_told_apart_by_name_and_taken_away(tmp_path, kinds):
+    found = searched(campaign(tmp_path, [{"kind": kind, **EFFECTS[kind]} for kind in kinds]))
+    assert found.error("geometric") > 1.3 * LEAST
+    assert found.named == {(kind, str(EFFECTS[kind]["where"])) for kind in kinds}
+    assert found.error("final") < 1.15 * LEAST
+    assert found.verdict == "noise_floor"
+
+
+def test_no_kind_is_left_out_of_those_that_are_searched_for():
+    assert sorted(kind for kinds in TOGETHER for kind in kinds) == sorted(EFFECTS)
+
+
+def test_declared_effects_are_fitted_as_they_are_declared_and_once_each(tmp_path):
+    kinds = ("joint_map", "drift", "joint_gain")
+    path = campaign(tmp_path, [{"kind": kind, **EFFECTS[kind]} for kind in kinds])
+    declared = [{"kind": kind, "where": EFFECTS[kind]["where"]} for kind in (*kinds, "joint_gain")]
     outcome = identify(changed(path, effects=declared, diagnosis={"enabled": False}))
-    assert named(outcome) == {(kind, str(truth["where"]))}
+    assert named(outcome) == {(kind, str(EFFECTS[kind]["where"])) for kind in kinds}
+    assert len([c for e in outcome.effects for c in e.effect.coefficients if c.name.startswith("joint_1.axis")]) == 1
     assert all(e.declared for e in outcome.effects)
-    assert error(outcome, "final") < 1.15 * LEAST
-
-
-def test_an_effect_that_is_declared_twice_is_fitted_once(tmp_path):
-    path = campaign(tmp_path, [{"kind": "joint_gain", **EFFECTS["joint_gain"]}])
-    twice = [{"kind": "joint_gain", "where": "joint_1"} for _ in range(2)]
-    outcome = identify(changed(path, effects=twice, diagnosis={"enabled": False}))
-    found = [e for e in outcome.effects for c in e.effect.coefficients if c.name.startswith("joint_1.axis")]
-    assert named(outcome) == {("joint_gain", "joint_1")}
-    assert len(found) == 1
     assert error(outcome, "final") < 1.15 * LEAST
 
 
@@ -140,27 +143,20 @@ def test_a_machine_of_which_all_constants_are_known_may_lack_an_effect_all_the_s
     }
     kinds = {"candidates": ["joint_gain", "joint_harmonic", "joint_coupling"]}
     path = robots.write_campaign(tmp_path, truth, frames=frames, parameters={"set": "none"}, diagnosis=kinds)
-    outcome = identify(path)
-    assert named(outcome) == {("joint_gain", "joint_1")}
-    fit = outcome.stage("final").fit
+    found = searched(path)
+    assert found.named == {("joint_gain", "joint_1")}
+    fit = found.fit
     assert [c.where for c in fit.model.coefficients] == ["joint_1"]
     assert fit.theta[0] == pytest.approx(1e-4, abs=4 * fit.std[0])
-    assert error(outcome, "final") < 1.15 * LEAST
+    assert found.error("final") < 1.15 * LEAST
 
 
 def test_gross_outliers_neither_create_nor_hide_an_effect(tmp_path):
     sag = {"kind": "joint_compliance", **EFFECTS["joint_compliance"]}
     (tmp_path / "sag").mkdir()
     (tmp_path / "clean").mkdir()
-    assert named(identify(campaign(tmp_path / "sag", [sag], outliers=0.05))) == {("joint_compliance", "joint_3")}
-    assert not named(identify(campaign(tmp_path / "clean", [], outliers=0.05)))
-
-
-def test_three_effects_at_once_are_told_apart(tmp_path):
-    kinds = ("joint_compliance", "thermal", "joint_coupling")
-    outcome = identify(campaign(tmp_path, [{"kind": k, **EFFECTS[k]} for k in kinds]))
-    assert named(outcome) == {(k, str(EFFECTS[k]["where"])) for k in kinds}
-    assert error(outcome, "final") < 1.15 * LEAST
+    assert searched(campaign(tmp_path / "sag", [sag], outliers=0.05)).named == {("joint_compliance", "joint_3")}
+    assert not searched(campaign(tmp_path / "clean", [], outliers=0.05)).named
 
 
 @pytest.mark.parametrize(("where", "twice"), [("joint_1", "joint_1.z"), ("joint_2", "joint_2.yaw")])
@@ -176,13 +172,13 @@ def test_motions_of_a_declared_effect_that_no_row_tells_from_its_others_are_left
     assert said.startswith(f"{twice}:temperature, of the declared thermal at {where}, is left out: it is confounded")
     motion = list(dict.fromkeys(c.component for c in effect.effect.coefficients))
     assert len(motion) == 6 and twice.partition(".")[2] not in motion
-    named = identify(changed(path, effects=[{"kind": "thermal", "where": where, "motion": motion}], diagnosis=off))
-    assert not any("is left out" in notice for notice in named.notices)
+    named = searched(changed(path, effects=[{"kind": "thermal", "where": where, "motion": motion}], diagnosis=off))
+    assert not named.arm.diagnosed.barred
     for c in effect.effect.coefficients:
-        mine, theirs = (o.stages[-1].fit.std[o.stages[-1].fit.model.names.index(c.name)] for o in (every, named))
+        mine, theirs = (fit.std[fit.model.names.index(c.name)] for fit in (every.stages[-1].fit, named.fit))
         assert mine == pytest.approx(theirs, rel=1e-6)
         assert mine < 1e-3
-    assert error(every, "final") == pytest.approx(error(named, "final"), rel=1e-6)
+    assert error(every, "final") == pytest.approx(named.error("final"), rel=1e-6)
 
 
 def test_a_shuffled_column_is_not_taken(tmp_path):
@@ -190,23 +186,24 @@ def test_a_shuffled_column_is_not_taken(tmp_path):
     rows = pd.read_csv(tmp_path / "measurements.csv", dtype=str)
     rows["temperature"] = np.random.default_rng(0).permutation(rows["temperature"])
     rows.to_csv(tmp_path / "measurements.csv", index=False)
-    outcome = identify(changed(path, diagnosis={"candidates": ["thermal", "drift", "unknown"]}))
-    assert not any("temperature" in e.effect.covariates for e in outcome.effects)
+    found = searched(changed(path, diagnosis={"candidates": ["thermal", "drift", "unknown"]}))
+    assert not any("temperature" in effect.covariates for effect in found.effects)
 
 
 def test_a_function_of_two_columns_has_no_name_but_is_seen_and_said(tmp_path):
     twist = {"kind": "unknown", "where": "joint_3", "motion": "z", "form": "twist", "covariates": ["joint_4", "time"],
              "coefficients": 1e-3}  # fmt: skip
-    outcome = identify(campaign(tmp_path, [twist]))
-    assert outcome.verdict.word == "structure_remains"
-    assert {e.effect.kind for e in outcome.effects} == {"unknown"}
-    assert set(outcome.effects[0].effect.covariates) == {"joint_4", "time"}
-    assert error(outcome, "final") < 0.5 * error(outcome, "geometric")
+    found = searched(campaign(tmp_path, [twist]))
+    assert found.verdict == "structure_remains"
+    assert {effect.kind for effect in found.effects} == {"unknown"}
+    assert set(found.effects[0].covariates) == {"joint_4", "time"}
+    assert found.error("final") < 0.5 * found.error("geometric")
 
 
 @pytest.mark.parametrize("wrong", [0.5, 2.0])
 def test_noise_that_is_stated_two_times_off_is_noticed_and_said(tmp_path, clean, wrong):
-    outcome = identify(campaign(tmp_path, [], declared=wrong * SIGMA))
+    off: dict[str, object] = {"enabled": False}
+    outcome = identify(changed(campaign(tmp_path, [], declared=wrong * SIGMA), diagnosis=off))
     said = sorted(set(outcome.notices) - set(clean.notices))
     assert len(said) == 2
     for notice, channel in zip(
@@ -222,24 +219,24 @@ def test_rows_marked_test_choose_nothing(tmp_path):
     rows = pd.read_csv(tmp_path / "measurements.csv", dtype=str)
     rows["split"] = np.where(np.arange(len(rows)) % 4 == 3, "test", "train")
     rows.to_csv(tmp_path / "measurements.csv", index=False)
-    before = identify(changed(path, diagnosis={"candidates": ["joint_compliance", "joint_gain", "joint_harmonic"]}))
+    before = searched(changed(path, diagnosis={"candidates": ["joint_compliance", "joint_gain", "joint_harmonic"]}))
     spoiled = rows["split"] == "test"
     rows.loc[spoiled, "z"] = (rows.loc[spoiled, "z"].astype(float) + 3e-4).astype(str)
     rows.to_csv(tmp_path / "measurements.csv", index=False)
-    after = identify(path)
-    np.testing.assert_array_equal(before.stage("final").fit.theta, after.stage("final").fit.theta)
-    assert error(after, "final") > error(before, "final")
+    after = searched(path)
+    np.testing.assert_array_equal(before.fit.theta, after.fit.theta)
+    assert after.error("final") > before.error("final")
 
 
 def test_what_is_found_on_some_of_many_rows_is_fitted_to_all_of_them(tmp_path, monkeypatch):
     """As if it had been declared, and nothing been sought."""
     monkeypatch.setattr(diagnose, "MOST_SEARCHED_ROWS", 300)
     path = campaign(tmp_path, [{"kind": "joint_coupling", **EFFECTS["joint_coupling"]}], (), n=600)
-    found = identify(changed(path, diagnosis={"candidates": ["joint_coupling", "joint_gain", "joint_compliance"]}))
+    found = searched(changed(path, diagnosis={"candidates": ["joint_coupling", "joint_gain", "joint_compliance"]}))
     known = {"kind": "joint_coupling", "where": "joint_3", "with": "joint_4"}
-    stated = identify(changed(path, effects=[known], diagnosis={"enabled": False}))
-    assert named(found) == named(stated) == {("joint_coupling", "joint_3")}
-    one, other = (o.stage("final").fit for o in (found, stated))
+    stated = searched(changed(path, effects=[known], diagnosis={"enabled": False}))
+    assert found.named == stated.named == {("joint_coupling", "joint_3")}
+    one, other = found.fit, stated.fit
     assert len(one.weight) == len(other.weight) == 480
     assert one.model.names == other.model.names
     assert np.abs((one.theta - other.theta) / other.std).max() < 0.1

@@ -8,6 +8,7 @@ from pathlib import Path
 import gauges
 import numpy as np
 import pytest
+from searched import searched_rows
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.condition_kinds import FEWEST_ROWS_OF_A_SIDE
@@ -27,11 +28,11 @@ def test_nothing_is_found_where_nothing_is_wrong_though_the_scale_is_free(
     """A model that shrinks the arm leaves less of every row: it must not look as if it explained anything."""
     of = gauges.arm(5)
     made = {"heights": lambda: gauges.heights(of, 150), "points": lambda: gauges.points(of, 3, 25, tied=False)}
-    found = gauges.outcome(
-        tmp_path, of, gauges.rows(of, *(made[name]() for name in blocks)), diagnosis={"enabled": True}
-    )
+    rows = gauges.rows(of, *(made[name]() for name in blocks))
+    question = gauges.campaign(tmp_path, of, rows, diagnosis={"enabled": True}).question
+    found = searched_rows(question, of.robot, rows)
     assert found.effects == ()
-    assert found.verdict.word == "noise_floor"
+    assert found.verdict == "noise_floor"
 
 
 @pytest.mark.parametrize("kind", ["heights", "points"])

@@ -36,7 +36,7 @@ BLOCKS: dict[str, Callable[[gauges.Arm], gauges.Measured]] = {
     "distance": lambda arm: gauges.distances(arm, 3, 100),
     "point": lambda arm: gauges.points(arm, 4, 20),
     "plane": lambda arm: gauges.heights(arm, 100),
-    "pixels": lambda arm: gauges.pixels(arm, 40),
+    "pixels": lambda arm: gauges.pixels(arm, 30),
 }
 FRAMES_ALONE = {"parameters": {"set": "none"}, "diagnosis": {"enabled": False}}
 
@@ -70,7 +70,7 @@ def test_clean_measurements_name_nothing(tmp_path: Path, kind: str, seed: int) -
     assert found.causes.total == pytest.approx([gauges.NOISE[data.channels[0].name]], rel=0.15)
 
 
-@pytest.mark.parametrize("kind", list(BLOCKS))
+@pytest.mark.parametrize("kind", [kind for kind in BLOCKS if kind != "distance"])  # `coarse` is of distances
 @pytest.mark.parametrize("seed", [1])
 def test_rounded_joints_are_named_with_the_size_of_their_rounding(tmp_path: Path, kind: str, seed: int) -> None:
     arm = gauges.arm(seed)
@@ -174,7 +174,7 @@ def test_a_tracker_beside_other_instruments_is_still_asked_about_range(tmp_path:
     seen = gauges.positions(arm, 150)
     away = np.linalg.norm(seen.observed, axis=1, keepdims=True)
     seen = replace(seen, observed=seen.observed + 5e-4 * away * arm.rng.normal(size=seen.observed.shape))
-    found = causes(tmp_path, arm, gauges.rows(arm, seen, gauges.distances(arm)))
+    found = causes(tmp_path, arm, gauges.rows(arm, seen, gauges.distances(arm, rows=30)))
     (only,) = found.further
     assert (only.kind, only.name) == ("range", "position")
     assert only.value == pytest.approx(5e-4, rel=0.2)
@@ -289,7 +289,7 @@ def repeated(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     """Wires and marks of which some were measured again: distances scatter by their noise, and marks by theirs."""
     arm = gauges.arm(9)
     wires, first = again(gauges.distances(arm, 2, 60), arm, 3, 30)
-    marks = gauges.pixels(arm, 20)
+    marks = gauges.pixels(arm, 8)
     data = gauges.rows(arm, wires, marks)
     data = data.with_repeats(configuration=np.concatenate([first, len(first) + np.arange(len(marks.q))]))
     test = np.isin(data.repeats.configuration, np.random.default_rng(0).choice(len(data), len(data) // 5))
@@ -368,6 +368,8 @@ def test_screen_report_and_results_say_that_the_joints_are_coarse_and_not_the_wi
     assert set(noise["channels"]) == {"distance"}
     last = coarse.stage("final").residual[coarse.measurements.train]
     assert coarse.scatter == pytest.approx(np.sqrt(np.mean(last**2, axis=0)), rel=0.1)
+    assert coarse.measurements.relative is not None and coarse.causes is not None
+    assert sum(c.share for c in coarse.causes.causes) == pytest.approx(1.0)
     assert coarse.noise[0] < 0.5 * coarse.scatter[0]
     assert coarse.verdict.word == "noise_floor"
 
@@ -375,7 +377,7 @@ def test_screen_report_and_results_say_that_the_joints_are_coarse_and_not_the_wi
 def test_another_days_wire_is_set_beside_this_days_wire_alone(tmp_path: Path) -> None:
     """A table of one instrument of two is scored with the whole model: nothing is said of the other."""
     arm = gauges.arm(3)
-    every = gauges.rows(arm, gauges.points(arm), gauges.distances(arm))
+    every = gauges.rows(arm, gauges.points(arm, 2), gauges.distances(arm))
     outcome = gauges.outcome(tmp_path, arm, every)
     day = outcome.measurements.select(outcome.measurements.labels.block == 1)
     residual = {s.name: s.residual[outcome.measurements.labels.block == 1] for s in outcome.stages}

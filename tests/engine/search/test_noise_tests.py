@@ -224,11 +224,9 @@ def test_a_zero_that_jumped_is_seen_as_that_joint_s_motion() -> None:
 
 
 def test_asking_in_more_axes_makes_no_more_false_alarms() -> None:
-    told = 0
-    for seed in range(40):
+    for seed in range(20):  # one of 200 is allowed
         found, data, r, _ = solved(200 + seed, "pose" if seed % 2 else "position", 60)
-        told += bool(asked(found, data, r))
-    assert told <= 1  # one of 200 is allowed
+        assert not asked(found, data, r)
 
 
 def of_markers(n: int) -> Dataset:
@@ -242,8 +240,8 @@ def of_markers(n: int) -> Dataset:
 def test_a_marker_at_a_wrong_place_is_named_and_noise_names_none() -> None:
     """Long tails are no marker; by chance one of 1,400 campaigns would name one."""
     rows = of_markers(180)
-    tails = [_things(rows, np.random.default_rng(seed).standard_t(4, (180, 2)))[0] for seed in range(500)]
-    assert sum(clue.tells for clue in tails) <= 3
+    tails = [_things(rows, np.random.default_rng(seed).standard_t(4, (180, 2)))[0] for seed in range(170)]
+    assert sum(clue.tells for clue in tails) <= 1
     r = np.random.default_rng(0).standard_normal((180, 2))
     r[4::9] *= 2.5
     (found,) = _things(rows, r)

@@ -11,17 +11,20 @@ from linear_models import made_up
 from robots import simulate, table, ur10, write_campaign
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
+from searched import Searched, searched
 
-import aridcal
 from aridcal.engine.corrections.place_scatter import place_columns, place_scatter
 from aridcal.engine.search import diagnose
 from aridcal.engine.search.places import has_scatter, with_scatter
 from aridcal.engine.search.state import solve_state
 
+SMOOTH = ["joint_gain", "joint_harmonic", "joint_map"]
+"""In the joints, as what places share is."""
+
 PLACES, EACH, APART, FINE, ALIKE = 30, 3, 4e-3, 2e-5, 1.5e-4
 
 
-def identified(folder: Path, each: int = EACH, **diagnosis: object) -> aridcal.Calibration:
+def identified(folder: Path, each: int = EACH, **diagnosis: object) -> Searched:
     """A clean arm at 30 places, several rows each, whose instrument errs alike at a place."""
     rng = np.random.default_rng(11)
     truth = simulate(ur10(), PLACES, rng, kind="position")
@@ -36,20 +39,19 @@ def identified(folder: Path, each: int = EACH, **diagnosis: object) -> aridcal.C
         .reindex(range(len(q)))
         .assign(**dict(zip(names, q.T, strict=True)), **dict(zip("xyz", p.T, strict=True)))
     )
-    return aridcal.calibrate(write_campaign(folder, truth, rows, diagnosis={"enabled": True} | diagnosis))
+    return searched(write_campaign(folder, truth, rows, diagnosis={"enabled": True} | diagnosis))
 
 
 def test_a_clean_arm_whose_instrument_errs_alike_at_a_place_has_no_effect(tmp_path):
-    found = identified(tmp_path)
-    assert found.result["effects"] == []
-    assert found.result["verdict"] != "structure_remains"
+    found = identified(tmp_path, candidates=[*SMOOTH, "shift"])
+    assert found.effects == ()
+    assert found.verdict != "structure_remains"
 
 
 def test_of_more_rows_than_are_searched_those_that_are_have_the_places(tmp_path, monkeypatch):
     """The attack: rows beyond those that are searched, whose places are numbered otherwise."""
     monkeypatch.setattr(diagnose, "MOST_SEARCHED_ROWS", 300)  # thousands cost half a minute
-    kinds = ["joint_gain", "joint_harmonic", "joint_map"]  # smooth in the joints, as what places share is
-    assert identified(tmp_path, each=13, candidates=kinds).result["effects"] == []
+    assert identified(tmp_path, each=13, candidates=SMOOTH).effects == ()
 
 
 def test_the_size_of_the_scatter_is_the_likeliest_of_dense_covariances():

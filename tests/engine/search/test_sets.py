@@ -12,8 +12,8 @@ import pytest
 from linear_models import linear, made_up, with_effect
 from robots import simulate, table, ur10, write_campaign
 from scipy.stats import multivariate_normal
+from searched import searched
 
-import aridcal
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.levels import PRICE
@@ -143,8 +143,7 @@ def test_an_arm_whose_gears_all_err_is_told_as_that(tmp_path: Path):
     rows = table(truth)
     _, p = model.poses(np.concatenate([truth.theta, values]), model.rows(truth.readings))
     rows[["x", "y", "z"]] = p + 5e-5 * rng.standard_normal(p.shape)
-    cal = aridcal.calibrate(write_campaign(tmp_path, truth, rows, diagnosis={"enabled": True}))
-    named = {(e["kind"], e["where"]) for e in cal.result["effects"]}
+    named = searched(write_campaign(tmp_path, truth, rows, diagnosis={"enabled": True})).named
     assert {kind for kind, _ in named} == {"joint_harmonic"}
     assert len(named) >= 5
 

@@ -12,6 +12,7 @@ import pytest
 import robots
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
+from searched import searched
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
@@ -24,7 +25,7 @@ from aridcal.engine.levels import RARE
 from aridcal.engine.model.model import Model
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.halves import PATTERNS, Division, Halves, _sides, divisions, halves
-from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.engine.trust.second_look import second_look
 
 NOISE = 1e-4
 
@@ -110,7 +111,7 @@ def test_p_is_uniform_where_nothing_is_missing_though_the_noise_is_estimated() -
     first = robots.simulate(robots.arid(), 40, np.random.default_rng(0), 1e-3, NOISE)
     model = calibrated(first).model
     found = []
-    for seed in range(1, 61):
+    for seed in range(1, 41):
         truth = robots.simulate(robots.arid(), 40, np.random.default_rng(seed), 1e-3, NOISE)
         result = halves(fit(truth.data(model), weight=np.ones(40)), truth.measured)
         assert result is not None
@@ -212,11 +213,9 @@ def test_scatter_of_readings_that_is_weighed_is_no_error_of_the_model(tmp_path: 
         truth = robots.simulate(robots.ur10(), 60, rng, 1e-3, 5e-5)
         read = truth.readings + 3e-4 * rng.standard_normal((60, 6))
         truth = replace(truth, measured=replace(truth.measured, readings=read))
-        outcome = identify(robots.write_campaign(tmp_path, truth))
-        assert outcome.measurements.relative is not None
-        looked = outcome.second_look
-        assert looked is not None
-        found = looked.halves["final"]
+        arm = searched(robots.write_campaign(tmp_path, truth)).arm
+        assert arm.rows.relative is not None
+        found = second_look(arm.geometry.geometric, arm.diagnosed.fit, arm.rows.fitted).halves["final"]
         assert found is not None and found.p_value > 0.01
 
 

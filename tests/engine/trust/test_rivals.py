@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import honesty
 import numpy as np
 import pandas as pd
 import pytest
-from calibrated import NOISE, machine
+from calibrated import NOISE, Machine, machine
 from robots import measured
 from scipy.spatial.transform import Rotation
 
@@ -32,9 +33,15 @@ STEP = Coefficient("elbow_joint", "axis", Basis("step", ("elbow_joint",), (0.2,)
 SLOPE = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint",), (0.0,)))
 
 
+@cache
+def arm() -> Machine:
+    """A calibrated UR10, read only but for its random numbers."""
+    return machine(3, n=150)
+
+
 def rivals() -> tuple[Rival, ...]:
     """Two of one effect, each with other coefficients beside its own."""
-    saved = machine(3, n=150).saved
+    saved = arm().saved
     own = saved.final.model.coefficients[0]
     return (
         Rival("a step", "a gain", 0.3, ((STEP, 4e-5), (own, -1e-5))),
@@ -69,7 +76,7 @@ def shifted(saved: SavedModel, rival: Rival) -> SavedModel:
 
 def test_a_prediction_is_the_mean_over_the_causes_and_states_the_spread_between_them() -> None:
     """Second road: each cause predicts by itself; mean and variance are those of a mixture, with weights 0.5, 0.3 and 0.2."""
-    saved = machine(3, n=150).saved
+    saved = arm().saved
     table = asked(saved)
     alone, beside = predicted(saved, table), predicted(replace(saved, rivals=rivals()), table)
     place, std = ["x", "y", "z"], ["std_x", "std_y", "std_z"]
@@ -84,7 +91,7 @@ def test_a_prediction_is_the_mean_over_the_causes_and_states_the_spread_between_
 
 
 def test_a_command_brings_the_mean_over_the_causes_to_the_wanted_pose() -> None:
-    saved = replace(machine(3, n=150).saved, rivals=rivals())
+    saved = replace(arm().saved, rivals=rivals())
     table = asked(saved, 6)
     poses = predicted(saved, table)
     for row, pose in zip(table.to_numpy(), poses.to_dict("records"), strict=True):
@@ -97,7 +104,7 @@ def test_a_command_brings_the_mean_over_the_causes_to_the_wanted_pose() -> None:
 
 
 def test_a_column_that_only_a_rival_depends_on_need_not_be_given_and_stands_in_the_middle() -> None:
-    saved = machine(3, n=150).saved
+    saved = arm().saved
     warm = Coefficient("elbow_joint", "axis", Basis("linear", ("temperature",), (20.0,)))
     own = saved.final.model.coefficients[0]
     either = Rival("heat", "a gain", 0.5, ((warm, 2e-5), (own, -1e-5)))
@@ -116,20 +123,20 @@ def test_a_column_that_only_a_rival_depends_on_need_not_be_given_and_stands_in_t
 
 
 def test_rivals_are_kept_with_the_model_and_older_files_have_none(tmp_path: Path) -> None:
-    saved = replace(machine(3, n=150).saved, rivals=rivals())
+    saved = replace(arm().saved, rivals=rivals())
     file = tmp_path / "calibration.yaml"
     file.write_text(saved.dump())
     again = SavedModel.load(file)
     assert again.rivals == saved.rivals
     table = asked(saved)
     pd.testing.assert_frame_equal(predicted(again, table), predicted(saved, table))
-    file.write_text(machine(3, n=150).saved.dump())
+    file.write_text(arm().saved.dump())
     assert "rivals" not in file.read_text() and SavedModel.load(file).rivals == ()
 
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_new_rows_of_a_cause_that_could_not_be_told_are_no_alarm_and_a_joint_that_jumped_is_one(which: int) -> None:
-    m, large = machine(3, n=150), 40.0
+    m, large = arm(), 40.0
     some = tuple(replace(r, change=tuple((c, large * value) for c, value in r.change)) for r in rivals())
     named = replace(m.saved, rivals=())
     doubted = replace(m.saved, rivals=some)
@@ -153,7 +160,7 @@ def test_new_rows_of_a_cause_that_could_not_be_told_are_no_alarm_and_a_joint_tha
 def test_the_cause_that_was_not_named_is_no_change_between_two_calibrations_and_a_zero_that_changed_is(
     which: int,
 ) -> None:
-    saved, large = machine(3, n=150).saved, 40.0
+    saved, large = arm().saved, 40.0
     some = tuple(replace(r, change=tuple((c, large * value) for c, value in r.change)) for r in rivals())
     other = shifted(saved, some[which])
     fitted = np.pad(saved.final.covariance, (0, len(other.final.theta) - len(saved.final.theta)))

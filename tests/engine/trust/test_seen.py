@@ -201,9 +201,9 @@ def test_what_was_seen_comes_back_from_the_file_and_older_files_have_none(tmp_pa
     np.testing.assert_allclose(found["std_x"], predict(saved, read_query(saved, query))["std_x"], rtol=1e-9)
 
 
-@pytest.mark.parametrize("rows", [50, 250])
-def test_a_campaign_marks_its_hole_and_hardly_any_of_its_held_out_rows(tmp_path: Path, rows: int) -> None:
+def test_a_campaign_marks_its_hole_and_hardly_any_of_its_held_out_rows(tmp_path: Path) -> None:
     """Through the whole loop: an elbow with an error curve, never measured within 0.3 rad of its middle."""
+    rows = 50
     rng = np.random.default_rng(rows)
     rigid = robots.simulate(robots.ur10(), 3 * rows, rng, tip=robots.random_placement(rng, 0.2))
     elbow = rigid.model.robot.readings.index("elbow_joint")

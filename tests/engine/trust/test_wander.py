@@ -12,6 +12,7 @@ import two_arms
 import yaml
 from calibrated import NOISE, machine, measured
 from scipy.linalg import null_space
+from searched import searched
 from two_arms import readings
 
 import aridcal
@@ -19,7 +20,6 @@ from aridcal.engine.fit.least_squares import Fit, fit_identifiable
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust import wander
 from aridcal.engine.trust.wander import PROCESSES, SHARES, Wander, wandering, wanders, zero_of
-from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import AridcalError
 
@@ -95,8 +95,8 @@ def test_limbs_asked_apart_tell_what_all_rows_together_tell(tmp_path: Path, monk
     """Second road: all rows as one part. Both arms share the tracker's frame."""
     robot = two_arms.machine(2)
     path = two_arms.write(tmp_path, robot, ("tracker",), readings(robot, 120), diagnosis={"enabled": False})
-    outcome = identify(path)
-    final, rows = outcome.stages[-1].fit, outcome.measurements.select(~outcome.outlier)
+    found = searched(path)
+    final, rows = found.fit, found.rows.select(~found.judged.outlier)
     asked = final, rows, final.estimated, (None,) * len(final.estimated), SPAN
     apart, divide, counted = wanders(*asked), wander._parts, []
 

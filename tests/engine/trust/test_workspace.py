@@ -126,7 +126,7 @@ def test_the_scale_of_points_is_known_if_a_length_is(tmp_path: Path) -> None:
     """And only then; where the base stands is a convention, and makes nothing unknown."""
     for tied in (True, False):
         arm = gauges.arm()
-        outcome = gauges.outcome(tmp_path, arm, gauges.rows(arm, gauges.points(arm, tied=tied), declared=True))
+        outcome = gauges.outcome(tmp_path, arm, gauges.rows(arm, gauges.points(arm, 2, tied=tied), declared=True))
         assert outcome.certainty.anywhere.observable.all() == tied
         assert outcome.certainty.anywhere.observable.any() == tied
         assert np.isfinite(outcome.certainty.tolerances[0].bound) == tied
