@@ -164,7 +164,9 @@ def in_urdf(text: str) -> pin.SE3:
     return model.frames[model.getFrameId("eye_optical_frame")].placement
 
 
-def test_two_cameras_beside_a_real_arm_are_told_from_some_in_its_hand_and_each_has_its_own_place(tmp_path: Path) -> None:
+def test_two_cameras_beside_a_real_arm_are_told_from_some_in_its_hand_and_each_has_its_own_place(
+    tmp_path: Path,
+) -> None:
     """Nobody says where they stand: `camera.yaml` has them on the tip, as `detect` writes it."""
     proposed = drafted(tmp_path, {name: {"on": "world"} for name in ("left", "right")}, 25, WRONG)
     assert [camera.on for camera in proposed.campaign.instruments.cameras.values()] == ["world", "world"]

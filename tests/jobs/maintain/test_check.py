@@ -135,7 +135,9 @@ def test_the_bounds_of_the_error_hold_it_as_often_as_they_say():
         bounds(np.full((8, 3), np.sqrt(of / 24)), sigma)
         for of in np.quantile(squares, [FALSE_ALARMS, 1 - FALSE_ALARMS])
     )
-    assert few.high == pytest.approx(error, rel=0.01)  # of 100,000 samples the quantile is known to 3 parts in a thousand
+    assert few.high == pytest.approx(
+        error, rel=0.01
+    )  # of 100,000 samples the quantile is known to 3 parts in a thousand
     assert many.low == pytest.approx(error, rel=0.01)
 
 
