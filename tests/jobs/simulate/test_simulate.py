@@ -125,6 +125,7 @@ def test_constants_are_drawn_with_their_own_deviation(tmp_path):
     drawn = [simulate(scenario(tmp_path, {"seed": s, "n": 1})).parameters for s in range(40)]
     values = [d[name] for d in drawn for name in ("joint_4.x", "joint_1.beta")]
     assert stats.kstest(values, stats.norm(0, 2e-3).cdf).pvalue > 1e-3
+    assert np.std(values) == pytest.approx(2e-3, rel=4 / np.sqrt(2 * len(values)))
 
 
 def test_configurations_fill_the_limits_of_all_readings_evenly(tmp_path):
