@@ -40,13 +40,21 @@ def campaign(
     )
 
 
+@pytest.fixture(scope="module")
+def cool(tmp_path_factory: pytest.TempPathFactory) -> tuple[robots.Truth, aridcal.Calibration]:
+    """Calibrated between 19.7 and 20.3 degrees."""
+    return campaign(tmp_path_factory.mktemp("cool"))
+
+
 def asked(truth: robots.Truth, n: int, seed: int, **columns: object) -> tuple[np.ndarray, pd.DataFrame]:
     q = robots.readings(truth.model.robot, n, np.random.default_rng(seed), 0.8)
     return q, pd.DataFrame(dict(zip(truth.model.robot.readings, q.T, strict=True))).assign(**columns)
 
 
-def test_a_recorded_column_that_no_effect_uses_marks_rows_outside_of_its_range(tmp_path: Path) -> None:
-    truth, cal = campaign(tmp_path)
+def test_a_recorded_column_that_no_effect_uses_marks_rows_outside_of_its_range(
+    cool: tuple[robots.Truth, aridcal.Calibration], tmp_path: Path
+) -> None:
+    truth, cal = cool
     assert not cal.result["effects"]
     _, same = asked(truth, 200, 1, temperature=20.1, humidity=41.0)
     _, warm = asked(truth, 200, 1, temperature=33.0, humidity=41.0)
@@ -59,9 +67,9 @@ def test_a_recorded_column_that_no_effect_uses_marks_rows_outside_of_its_range(t
     assert set(again.recorded) == {"temperature", "humidity"}
 
 
-def test_rows_of_the_same_conditions_are_hardly_ever_marked(tmp_path: Path) -> None:
+def test_rows_of_the_same_conditions_are_hardly_ever_marked(cool: tuple[robots.Truth, aridcal.Calibration]) -> None:
     """Of other draws of the same temperature and humidity one in some hundreds is farther out than all that were seen."""
-    truth, cal = campaign(tmp_path)
+    truth, cal = cool
     rng = np.random.default_rng(5)
     temperature, humidity = 20.0 + 0.3 * rng.uniform(-1, 1, 2000), rng.normal(40.0, 2.0, 2000)
     _, plain = asked(truth, 2000, 6)
@@ -77,9 +85,11 @@ def test_time_that_goes_on_marks_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("warmer", [6.0, 14.0])
-def test_sigmas_hold_the_growth_of_an_arm_that_no_row_saw(warmer: float, tmp_path: Path) -> None:
+def test_sigmas_hold_the_growth_of_an_arm_that_no_row_saw(
+    warmer: float, cool: tuple[robots.Truth, aridcal.Calibration]
+) -> None:
     """Second road: the arm's own lengths made longer by 12 ppm/K. Without the temperature in the query nothing can be said."""
-    truth, cal = campaign(tmp_path)
+    truth, cal = cool
     q, table = asked(truth, 200, 2, temperature=20.0 + warmer)
     real = grown(truth.model.robot, np.full(200, warmer), q, truth.model, truth.theta)
     predicted = cal.predict(table)
@@ -103,8 +113,8 @@ def test_sigmas_within_the_temperatures_seen_are_as_before(tmp_path: Path) -> No
     assert (sigma > cal.uncertainty(table)["sigma_mm"]).all()
 
 
-def test_a_check_at_another_temperature_names_that_first(tmp_path: Path) -> None:
-    truth, cal = campaign(tmp_path)
+def test_a_check_at_another_temperature_names_that_first(cool: tuple[robots.Truth, aridcal.Calibration]) -> None:
+    truth, cal = cool
     q, table = asked(truth, 15, 7)
     hot = grown(truth.model.robot, np.full(15, 14.0), q, truth.model, truth.theta)
     noise = 5e-5 * np.random.default_rng(3).standard_normal((2, 15, 3))

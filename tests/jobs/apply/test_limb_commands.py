@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,7 +26,9 @@ ENDS = {"left_hand": "left", "right_hand": "right", "right_6": "right"}
 def tracked(tmp_path_factory: pytest.TempPathFactory) -> tuple[two_arms.Machine, aridcal.Calibration, Path]:
     """Both hands calibrated with a tracker, the left shoulder yielding; read back from its file."""
     folder, robot = tmp_path_factory.mktemp("tracked"), two_arms.machine(2, yields=2e-4)
-    found = aridcal.calibrate(two_arms.write(folder, robot, ("tracker",), readings(robot, 160)))
+    effects = [{"kind": "joint_compliance", "where": "left_j2"}]
+    keys: dict[str, Any] = {"effects": effects, "diagnosis": {"enabled": False}}
+    found = aridcal.calibrate(two_arms.write(folder, robot, ("tracker",), readings(robot, 160), **keys))
     assert list(found.effects["kind"]) == ["joint_compliance"]
     (folder / "calibration.yaml").write_text(found.model.dump(), encoding="utf-8")
     return robot, aridcal.load(folder / "calibration.yaml"), folder

@@ -161,6 +161,7 @@ def test_fingers_touch_a_plate_on_the_other_hand_or_one_table(on: str, tmp_path:
             "planes": {"plate": {"on": on, "normal": [0, 0, 1], "offset": 0.08}},
             "targets": {name: {"on": f"{name}_hand", "xyz": own.tolist()} for name, own in fingers.items()},
         },
+        diagnosis={"enabled": on == "right_hand"},
     )  # fmt: skip
     found = aridcal.calibrate(path)
     at_the_noise(found, "distance")
@@ -173,18 +174,18 @@ STATIONS = {
 }
 
 
-def moved_tracker(folder: Path, touches: bool) -> tuple[Path, two_arms.Machine]:
+def moved_tracker(folder: Path, touches: bool, search: bool = False, n: int = 300) -> tuple[Path, two_arms.Machine]:
     """A tracker that sees the targets of a positioner and of an arm from two places, and perhaps touches of a finger."""
     text, machine = positioner()
     rng, links = np.random.default_rng(2), {"turntable": "plate", "tool": "flange"}
-    q = rng.uniform(-1.1, 1.1, (300, len(machine.joints)))
-    target = np.where(np.arange(300) % 2, "turntable", "tool")
-    station = np.where(np.arange(300) < 150, "north", "south")
+    q = rng.uniform(-1.1, 1.1, (n, len(machine.joints)))
+    target = np.where(np.arange(n) % 2, "turntable", "tool")
+    station = np.where(np.arange(n) < n // 2, "north", "south")
     seen = {name: machine.seen(q, "cell", link) for name, link in links.items()}
     places = [
         STATIONS[s].act(seen[t][k].act(cells.FINGER)) for k, (s, t) in enumerate(zip(station, target, strict=True))
     ]
-    read = np.array(places) + rng.normal(0, cells.SIGMA, (300, 3))
+    read = np.array(places) + rng.normal(0, cells.SIGMA, (n, 3))
     tables = {"tracker": machine.table(q, target=target, station=station, **dict(zip(XYZ, read.T, strict=True)))}
     noise = {"position": cells.SIGMA}
     blocks: list[dict[str, Any]] = [{"kind": "position", "file": "tracker.csv", "noise": noise}]
@@ -192,19 +193,20 @@ def moved_tracker(folder: Path, touches: bool) -> tuple[Path, two_arms.Machine]:
         "targets": {name: {"on": link, "xyz": (cells.FINGER + 0.01).tolist()} for name, link in links.items()}
     }
     if touches:
-        label = np.arange(300) % len(SPOTS)
+        label = np.arange(n) % len(SPOTS)
 
         def off(q: np.ndarray, k: np.ndarray) -> np.ndarray:
             fingers = np.array([T.act(cells.FINGER) for T in machine.seen(q, "plate", "flange")])
             return np.asarray(fingers - SPOTS[label[k]] - error[k])
 
-        error = rng.normal(0, cells.SIGMA, (300, 3))
-        there, good = cells.met(machine, rng.uniform(-1.1, 1.1, (300, len(machine.joints))), off)
+        error = rng.normal(0, cells.SIGMA, (n, 3))
+        there, good = cells.met(machine, rng.uniform(-1.1, 1.1, (n, len(machine.joints))), off)
         tables["touch"] = machine.table(there[good], point=label[good].astype(str), target="tool")
         tables["spots"] = pd.DataFrame(SPOTS, columns=XYZ).assign(point=[str(k) for k in range(len(SPOTS))])
         blocks.append({"kind": "point", "file": "touch.csv", "noise": dict(noise)})
         things["points"] = {"file": "spots.csv", "on": "plate"}
     keys: dict[str, Any] = {"measurements": blocks if touches else blocks[0], "instruments": things}
+    keys["diagnosis"] = {"enabled": search}
     frames = {"world_base": {"per": "station"}}
     robot = {"base": "cell", "tip": "flange"}
     return cells.write(folder, text, robot, tables, frames=frames, **keys), machine
@@ -213,7 +215,7 @@ def moved_tracker(folder: Path, touches: bool) -> tuple[Path, two_arms.Machine]:
 @pytest.fixture(scope="module")
 def moved(tmp_path_factory: pytest.TempPathFactory) -> tuple[aridcal.Calibration, two_arms.Machine]:
     """Calibrated with the tracker alone."""
-    path, machine = moved_tracker(tmp_path_factory.mktemp("moved"), False)
+    path, machine = moved_tracker(tmp_path_factory.mktemp("moved"), False, search=True)
     return aridcal.calibrate(path), machine
 
 
@@ -264,7 +266,6 @@ def test_targets_that_are_known_stay_where_they_are_stated(tmp_path: Path) -> No
     """One of two is known: it is taken as exact, and the other, of which a hint is a centimetre off, is found."""
     path, _ = moved_tracker(tmp_path, False)
     campaign = yaml.safe_load(path.read_text())
-    campaign["diagnosis"] = {"enabled": False}
     campaign["instruments"]["targets"]["tool"] |= {"xyz": cells.FINGER.tolist(), "identify": False}
     path.write_text(yaml.safe_dump(campaign, sort_keys=False))
     found = aridcal.calibrate(path)
@@ -277,7 +278,7 @@ def test_targets_that_are_known_stay_where_they_are_stated(tmp_path: Path) -> No
 
 def with_split(folder: Path, **split: str) -> Path:
     """Rows of a moved tracker, of touches, and a split of the tracker's that depends on the station."""
-    path, _ = moved_tracker(folder, True)
+    path, _ = moved_tracker(folder, True, n=120)
     table = pd.read_csv(folder / "tracker.csv")
     table.assign(split=table["station"].map(split)).to_csv(folder / "tracker.csv", index=False)
     return path
@@ -293,7 +294,6 @@ def test_a_station_with_held_out_rows_alone_is_refused(tmp_path: Path) -> None:
 def test_figures_are_those_of_the_blocks_with_held_out_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The tracker's table keeps all its rows for training: no error of it is known, and none is shown."""
     path = with_split(tmp_path, north="train", south="train")
-    path.write_text(path.read_text() + "diagnosis: {enabled: false}\n")
     assert identify.main([str(path), "-o", str(tmp_path / "results")]) == 0
     said = capsys.readouterr().out
     assert "nan" not in said and "point_position RMS" in said and "position_position RMS" not in said
@@ -303,10 +303,9 @@ def test_figures_are_those_of_the_blocks_with_held_out_rows(tmp_path: Path, caps
 
 def test_a_target_that_no_key_names_beside_others_is_said_to_be_on_the_tip(tmp_path: Path) -> None:
     """It may be a slip of the pen: the nearest name is given."""
-    path, _ = moved_tracker(tmp_path, False)
+    path, _ = moved_tracker(tmp_path, False, n=120)
     table = pd.read_csv(tmp_path / "tracker.csv")
     table.loc[::11, "target"] = table.loc[::11, "target"].replace("tool", "tol")
     table.to_csv(tmp_path / "tracker.csv", index=False)
-    path.write_text(path.read_text() + "diagnosis: {enabled: false}\n")
     notices = [notice for notice in aridcal.calibrate(path).result["notices"] if "'tol'" in notice]
     assert len(notices) == 1 and "did you mean 'tool'" in notices[0] and "on the tip, flange" in notices[0]

@@ -164,27 +164,20 @@ def in_urdf(text: str) -> pin.SE3:
     return model.frames[model.getFrameId("eye_optical_frame")].placement
 
 
-def test_a_camera_beside_a_real_arm_is_told_from_one_in_its_hand(tmp_path: Path) -> None:
-    """Nobody says where it stands: `camera.yaml` has it on the tip, as `detect` writes it."""
-    proposed = drafted(tmp_path, {"eye": {"on": "world"}}, 25, WRONG)
-    assert proposed.campaign.instruments.cameras["eye"].on == "world"
+def test_two_cameras_beside_a_real_arm_are_told_from_some_in_its_hand_and_each_has_its_own_place(
+    tmp_path: Path,
+) -> None:
+    """Nobody says where they stand: `camera.yaml` has them on the tip, as `detect` writes it."""
+    proposed = drafted(tmp_path, {name: {"on": "world"} for name in ("left", "right")}, 25, WRONG)
+    assert [camera.on for camera in proposed.campaign.instruments.cameras.values()] == ["world", "world"]
     _, handover, out = written(tmp_path, proposed)
     assert handover.hand_eye is not None and handover.hand_eye.arm == "calibrated"
-    (place,) = handover.hand_eye.places
-    assert (place.parent, place.in_hand) == ("base_link", False)
-    assert np.abs(sigmas(place.placement, true_place(tmp_path, "eye"), place.std)).max() < 4.0
-    stored = yaml.safe_load((out / "hand_eye" / "eye.easy_handeye.yaml").read_text())["parameters"]
-    assert not stored["eye_on_hand"] and stored["robot_base_frame"] == "base_link"
-
-
-def test_each_of_two_cameras_has_its_own_place(tmp_path: Path) -> None:
-    other = {"xyz": [-0.04, 0.06, 0.05], "rpy": [-0.1, 0.15, -0.8]}
-    proposed = drafted(tmp_path, {"left": {"on": "tip", **IN_HAND}, "right": {"on": "tip", **other}}, 8)
-    _, handover, out = written(tmp_path, proposed)
-    assert handover.hand_eye is not None
-    for place in handover.hand_eye.places:
-        assert np.abs(sigmas(place.placement, true_place(tmp_path, place.name), place.std)).max() < 4.0
     assert {path.name.partition(".")[0] for path in (out / "hand_eye").iterdir()} == {"left", "right"}
+    for place in handover.hand_eye.places:
+        assert (place.parent, place.in_hand) == ("base_link", False)
+        assert np.abs(sigmas(place.placement, true_place(tmp_path, place.name), place.std)).max() < 4.0
+        stored = yaml.safe_load((out / "hand_eye" / f"{place.name}.easy_handeye.yaml").read_text())["parameters"]
+        assert not stored["eye_on_hand"] and stored["robot_base_frame"] == "base_link"
 
 
 def test_images_are_answered_with_the_command_that_makes_a_table_of_them(

@@ -24,11 +24,13 @@ from aridcal.pages.report.first_screen import summary as first_screen
 from aridcal.pages.report.trust_checks import checks
 
 SIGMA = 1e-4
+SOUND = 3
+"""Seed of the campaign that several tests look at."""
 STEP = Effect("joint_gain", "joint_1", (Coefficient("joint_1", "axis"),))
 UNKNOWN = replace(STEP, kind="unknown")
 
 
-def campaign(folder: Path, spoil: object = None, seed: int = 3, noise: float | None = None) -> Path:
+def campaign(folder: Path, spoil: object = None, seed: int = SOUND, noise: float | None = None) -> Path:
     """The ARID with small geometric errors, 200 poses, every fifth held out; those may be spoiled."""
     truth = robots.simulate(robots.arid(), 200, np.random.default_rng(seed), noise=SIGMA)
     table = robots.table(truth).assign(split=np.where(np.arange(200) % 5 == 4, "test", "train"))
@@ -61,8 +63,13 @@ def said(outcome: Outcome) -> str:
     return console.export_text()
 
 
-def test_a_sound_campaign_is_at_the_noise_floor_and_says_how_many_rows_are_flagged(tmp_path: Path) -> None:
-    outcome = identify(campaign(tmp_path))
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    return identify(campaign(tmp_path_factory.mktemp("sound")))
+
+
+def test_a_sound_campaign_is_at_the_noise_floor_and_says_how_many_rows_are_flagged(sound: Outcome) -> None:
+    outcome = sound
     assert (outcome.verdict.word, outcome.verdict.reasons) == ("noise_floor", (NOISE_UNKNOWN,))
     assert "0 of 40 held-out rows flagged as outliers" in said(outcome)
     assert any("0 of 40 held-out rows flagged" in words and good for good, words in checks(outcome))
@@ -93,12 +100,12 @@ def test_more_than_three_per_cent_of_flagged_held_out_rows_are_never_noise(tmp_p
     assert any("3 of 40 held-out rows are flagged" in reason for reason in outcome.verdict.reasons)
 
 
-def test_what_a_verdict_says_of_clean_held_out_rows_is_by_chance_alone(tmp_path: Path) -> None:
-    """The F test of 5 campaigns: no smaller p-values than uniform, and no verdict turned."""
+def test_what_a_verdict_says_of_clean_held_out_rows_is_by_chance_alone(sound: Outcome, tmp_path: Path) -> None:
+    """The F test of 4 campaigns: no smaller p-values than uniform, and no verdict turned."""
     chances, told = [], 0
-    for seed in range(5):
+    for seed in range(4):
         (tmp_path / str(seed)).mkdir()
-        outcome = identify(campaign(tmp_path / str(seed), seed=seed))
+        outcome = sound if seed == SOUND else identify(campaign(tmp_path / str(seed), seed=seed))
         clue = next(c for c in outcome.diagnosis.clues if c.question == "held_out")  # type: ignore[union-attr]
         chances.append(clue.p_value)
         told += outcome.verdict.word != "noise_floor"
@@ -149,10 +156,8 @@ def test_a_noise_above_what_remains_is_not_called_a_floor(noise: float, words: s
     assert (NO_RELIABLE_MODEL.strip() in shown) != (BELOW.format("the declared noise").strip() in shown)
 
 
-def test_flagged_rows_of_one_place_are_said_with_that_place(tmp_path: Path) -> None:
-    outcome = identify(campaign(tmp_path))
-    m = outcome.measurements
-    last = outcome.stage("final")
+def test_flagged_rows_of_one_place_are_said_with_that_place(sound: Outcome) -> None:
+    m, last = sound.measurements, sound.stage("final")
     flags = np.zeros(len(m), dtype=bool)
     bad = m.as_read[60:70]
     flags[bad] = True

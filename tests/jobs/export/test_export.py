@@ -159,8 +159,15 @@ def ur10(theta: float, tmp_path: Path, kind: str = "pose") -> tuple[SavedModel, 
     return saved, Export(tmp_path / "ur10", name)
 
 
-def test_corrected_joints_bring_the_target_as_near_to_the_nominal_arms_as_compensate_does(tmp_path: Path) -> None:
-    saved, exported = ur10(1e-3, tmp_path)
+@pytest.fixture(scope="module")
+def of_a_ur10(tmp_path_factory: pytest.TempPathFactory) -> tuple[SavedModel, Export]:
+    return ur10(1e-3, tmp_path_factory.mktemp("ur10"))
+
+
+def test_corrected_joints_bring_the_target_as_near_to_the_nominal_arms_as_compensate_does(
+    of_a_ur10: tuple[SavedModel, Export],
+) -> None:
+    saved, exported = of_a_ur10
     inverse, rng, column = saved.inverse_kinematics(), np.random.default_rng(0), "shoulder_lift_joint_direction"
     low, high = np.array([saved.ranges[name] for name in saved.final.model.robot.readings]).T
     squares, reached = np.zeros(2), 0
@@ -180,8 +187,8 @@ def test_corrected_joints_bring_the_target_as_near_to_the_nominal_arms_as_compen
     assert squares[0] <= 1.05**2 * squares[1]
 
 
-def test_statuses_tell_limits_from_ranges_and_holes(tmp_path: Path) -> None:
-    _, exported = ur10(1e-3, tmp_path)
+def test_statuses_tell_limits_from_ranges_and_holes(of_a_ur10: tuple[SavedModel, Export]) -> None:
+    _, exported = of_a_ur10
     c, q = np.ones(1), np.array([0.1, -1.0, 1.0, 0.3, 0.8, 0.2])
     assert exported.in_range(q, c) == OK == exported.correct(q, c)[0]
     inside_the_hole = q + [0.15, 0, 0, 0, 0, 0]

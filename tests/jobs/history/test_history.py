@@ -23,6 +23,7 @@ from aridcal.jobs.history.trend import YEAR, Cycle, Series, dated, evidence, wit
 from aridcal.jobs.history.wear import history
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.history_page import MONTH, date
+from aridcal.runs.fleet_history import FleetHistory
 from aridcal.system.errors import AridcalError
 from aridcal.system.writing.whole_files import atomic_folder
 
@@ -207,9 +208,16 @@ def fleet(seed: int = 0, robots: int = 12, scatter: float = 1.0, wear: dict[str,
     return rows
 
 
-def test_the_robot_that_wears_is_named_first_with_its_zero_and_the_month(tmp_path: Path) -> None:
-    write(fleet(wear={"r07": 6.0}), tmp_path)
-    found = history(read_runs(tmp_path))
+@pytest.fixture(scope="module")
+def worn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FleetHistory]:
+    """A fleet of which one robot wears, and what its history says."""
+    folder = tmp_path_factory.mktemp("worn")
+    write(fleet(wear={"r07": 6.0}), folder)
+    return folder, aridcal.history(folder)
+
+
+def test_the_robot_that_wears_is_named_first_with_its_zero_and_the_month(worn: tuple[Path, FleetHistory]) -> None:
+    found = history(read_runs(worn[0]))
     assert found.robots[0].name == "r07"
     assert [(w.robot, w.name) for robot in found.robots for w in robot.alarms] == [("r07", "joint_3.pitch")]
     change = found.robots[0].alarms[0].change
@@ -290,7 +298,7 @@ def test_a_reader_never_sees_half_of_a_table_that_is_being_replaced(tmp_path: Pa
     writer = threading.Thread(target=replaced)
     writer.start()
     try:
-        seen = {len(read_runs(tmp_path).runs) for _ in range(25)}
+        seen = {len(read_runs(tmp_path).runs) for _ in range(10)}
     finally:
         stop.set()
         writer.join()
@@ -323,18 +331,19 @@ def test_nothing_there_no_such_robot_and_no_duckdb_are_said(tmp_path: Path, monk
     assert 'pip install "aridcal[fleet]"' in capsys.readouterr().err
 
 
-def test_the_command_writes_a_page_and_a_table_and_says_alarms_by_its_status(tmp_path: Path, capsys) -> None:
-    write(fleet(wear={"r07": 6.0}), tmp_path / "fleet")
-    assert main(["history", str(tmp_path / "fleet"), "-o", str(tmp_path / "out")]) == 3
+def test_the_command_writes_a_page_and_a_table_and_says_alarms_by_its_status(
+    worn: tuple[Path, FleetHistory], tmp_path: Path, capsys
+) -> None:
+    folder, found = worn
+    assert main(["history", str(folder), "-o", str(tmp_path / "out")]) == 3
     said = capsys.readouterr().out
     assert "r07: joint_3.pitch drifts since 2026-0" in said
-    assert main(["history", str(tmp_path / "fleet"), "r01"]) == 0
+    assert main(["history", str(folder), "r01"]) == 0
     page = (tmp_path / "out" / "history.html").read_text()
     assert "1 of 12 robots changed" in page
     assert 'aria-label="joint_3.pitch of r07 over time' in page
     table = pd.read_csv(tmp_path / "out" / "history.csv")
     assert len(table) == 12 * 12 * len(CONSTANTS)
-    found = aridcal.history(tmp_path / "fleet")
     assert found.alarms["robot"].tolist() == ["r07"]
     assert found.alarms["size"].tolist()[0] == pytest.approx(6e-5, rel=0.2)
     assert found.robots["robot"].tolist()[0] == "r07"

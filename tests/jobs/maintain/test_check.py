@@ -125,17 +125,20 @@ def test_noise_that_was_estimated_from_few_rows_raises_fewer_alarms():
 
 
 def test_the_bounds_of_the_error_hold_it_as_often_as_they_say():
+    """Where one sum of squares in a hundred is smaller, by sampling, the highest error is the true one; so at the other end."""
     rng = np.random.default_rng(3)
-    sigma, error, below, above = 1e-4, 2e-4, 0, 0
-    for _ in range(300):
-        off = rng.normal(size=(8, 3))
-        off *= error / np.sqrt(np.mean(np.sum(off**2, axis=1)))
-        found = bounds(off + sigma * rng.normal(size=(8, 3)), sigma)
-        below += found.low > error
-        above += found.high < error
-    for wrong in (below, above):  # 3 expected of each: four standard deviations
-        assert wrong < 300 * FALSE_ALARMS + 7
-    assert below + above > 0
+    sigma, error = 1e-4, 2e-4
+    off = rng.normal(size=24)
+    off *= error / np.sqrt(np.sum(off**2) / 8)
+    squares = np.sum((off + sigma * rng.normal(size=(100_000, 24))) ** 2, axis=1)
+    few, many = (
+        bounds(np.full((8, 3), np.sqrt(of / 24)), sigma)
+        for of in np.quantile(squares, [FALSE_ALARMS, 1 - FALSE_ALARMS])
+    )
+    assert few.high == pytest.approx(
+        error, rel=0.01
+    )  # of 100,000 samples the quantile is known to 3 parts in a thousand
+    assert many.low == pytest.approx(error, rel=0.01)
 
 
 def test_noise_with_tails_and_nothing_to_explain_has_the_density_of_students_t():
@@ -192,7 +195,7 @@ def test_errors_that_neighbouring_places_share_are_false_alarms_as_seldom_as_sta
     """Zeros wander by 0.05 mrad beside a noise as large; a calibration that does not know that fails most checks."""
     m = with_wander(ur10(), 5e-5)
     waves, before, after, missed = 60, 0, 0, 0
-    for _ in range(40):
+    for _ in range(24):
         q = corner(m, 12)
         k, phase = m.rng.normal(size=(6, waves, 6)), m.rng.uniform(0.0, 2.0 * np.pi, (6, waves))
         offset = 5e-5 * np.sqrt(2.0 / waves) * np.cos(np.einsum("jwk,nk->njw", k, q) + phase).sum(axis=2)
@@ -201,8 +204,8 @@ def test_errors_that_neighbouring_places_share_are_false_alarms_as_seldom_as_sta
         before += alarm(question(m, rows), every).p_value < FALSE_ALARMS
         after += alarm(uneven_question(m, rows), every).p_value < FALSE_ALARMS
         missed += alarm(uneven_question(m, m.measured(q, offset + jump(2, 1e-3))), every).p_value >= FALSE_ALARMS
-    assert before > 20
-    assert after <= 2  # 0.4 expected
+    assert before > 12
+    assert after <= 1  # 0.2 expected
     assert missed == 0
 
 
@@ -211,7 +214,7 @@ def test_noise_with_tails_makes_false_alarms_as_seldom_as_stated_and_hides_no_ju
     m, scale = ur10(), np.array([NOISE, NOISE])
     noise = NewRowNoise(scale, np.full(2, np.inf), (Tails(2.0, NOISE), Tails(2.0, NOISE)))
     wide, before, after, missed = widened(m.saved.final), 0, 0, 0
-    for _ in range(60):
+    for _ in range(30):
         q = m.configurations(10)
         for offset in (0.0, jump(1, 5e-4)):
             rows = m.measured(q, offset, 0.0)
@@ -228,19 +231,18 @@ def test_noise_with_tails_makes_false_alarms_as_seldom_as_stated_and_hides_no_ju
                     alarm(new_rows_question(wide, rows, NewRowNoise(scale, noise.freedom)), every).p_value
                     < FALSE_ALARMS
                 )
-    assert before > 40
-    assert after <= 2  # 0.6 expected at the most
+    assert before > 20
+    assert after <= 1  # 0.3 expected at the most
     assert missed == 0
 
 
-@pytest.mark.parametrize("kind", ["pose", "position"])
-def test_one_clean_check_in_a_hundred_is_a_false_alarm(kind):
+def test_one_clean_check_in_a_hundred_is_a_false_alarm():
     alarms = 0
-    for seed in range(3):
+    for seed, kind in enumerate(["pose", "position", "pose", "position"]):
         m = machine(100 + seed, kind)
         q = m.configurations(8)
         wide = widened(m.saved.final)
-        for _ in range(100):
+        for _ in range(75):
             rows = m.measured(q)
             alarms += (
                 alarm(new_rows_question(wide, rows, new_row_noise(m.saved, rows)), suspects(wide, rows)).p_value
@@ -251,13 +253,12 @@ def test_one_clean_check_in_a_hundred_is_a_false_alarm(kind):
 
 @pytest.mark.parametrize("joint", range(6))
 def test_a_zero_that_jumped_by_half_a_milliradian_is_named(joint):
-    for seed in range(3):
-        m = ur10(seed + 1)
-        found = check(m.saved, m.measured(m.configurations(8), jump(joint, 5e-4)))
-        assert not found.good
-        assert [(c.kind, c.where) for c in found.causes] == [("zero", NAMES[joint])]
-        assert found.causes[0].probability > 0.9
-        assert found.rest.p_value > FALSE_ALARMS
+    m = ur10(joint % 3 + 1)
+    found = check(m.saved, m.measured(m.configurations(8), jump(joint, 5e-4)))
+    assert not found.good
+    assert [(c.kind, c.where) for c in found.causes] == [("zero", NAMES[joint])]
+    assert found.causes[0].probability > 0.9
+    assert found.rest.p_value > FALSE_ALARMS
 
 
 def test_a_turn_of_the_base_about_the_first_joint_looks_like_its_zero_and_nothing_tells():
@@ -270,12 +271,11 @@ def test_a_turn_of_the_base_about_the_first_joint_looks_like_its_zero_and_nothin
 @pytest.mark.parametrize("size", [2e-4, 0.01, 3.0])
 def test_a_base_that_moved_is_named_however_far(size):
     m = ur10()
-    for _ in range(3):
-        turn = Rotation.from_rotvec(min(size, 3.0) * m.rng.normal(size=3)).as_matrix()
-        rows = calibrated.with_frame(m.measured(m.configurations(8)), turn, size * m.rng.normal(size=3))
-        found = check(m.saved, rows)
-        assert [c.where for c in found.causes] == ["world_base"]
-        assert found.rest.p_value > FALSE_ALARMS
+    turn = Rotation.from_rotvec(size * m.rng.normal(size=3)).as_matrix()
+    rows = calibrated.with_frame(m.measured(m.configurations(8)), turn, size * m.rng.normal(size=3))
+    found = check(m.saved, rows)
+    assert [c.where for c in found.causes] == ["world_base"]
+    assert found.rest.p_value > FALSE_ALARMS
 
 
 @pytest.mark.parametrize("kind", ["pose", "position"])
@@ -326,7 +326,7 @@ def test_rows_too_alike_to_tell_ask_for_one_that_does():
     m = ur10(20)  # a machine of its own: what other tests draw changes nothing here
     low, high = np.array([m.saved.ranges[name] for name in NAMES]).T
     asked_for = 0
-    for _ in range(6):
+    for _ in range(3):
         q = m.configurations(1) + 0.02 * m.rng.normal(size=(6, 6))
         found = check(m.saved, robots.positions_alone(m.measured(q, jump(2, 6e-4))))
         told = [told for cause in found.causes[:1] for told in cause.telling]
@@ -413,11 +413,10 @@ def test_tables_in_millimetres_and_degrees_with_stations_are_read_as_the_campaig
     assert "'elsewhere' was not in the calibration" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-12])
-def test_a_calibration_from_exact_rows_can_be_checked(noise):
+def test_a_calibration_from_exact_rows_can_be_checked():
     """Noise of nothing beside a base that moved by metres: nothing overflows, and names are right."""
     m = ur10()
-    exact = replace(m, saved=replace(m.saved, noise=(noise, noise)))
+    exact = replace(m, saved=replace(m.saved, noise=(0.0, 0.0)))
     q = m.configurations(8)
     assert [c.where for c in check(exact.saved, exact.measured(q, jump(2, 0.5), 0.0)).causes[:1]] == [NAMES[2]]
     rows = calibrated.with_frame(exact.measured(q, 0.0, 0.0), np.eye(3), np.array([5.0, -7.0, 2.0]))
@@ -486,7 +485,7 @@ def test_what_a_wire_calibrated_is_checked_with_positions(tmp_path, capsys):
         pd.DataFrame(np.hstack([q, p]), columns=[*NAMES, *"xyz"]).to_csv(tmp_path / "new.csv", index=False)
         assert main(["check", str(tmp_path), str(tmp_path / "new.csv")]) == status
         assert words in capsys.readouterr().out
-    own = pd.read_csv(tmp_path / "measurements.csv")[::4]
+    own = pd.read_csv(tmp_path / "measurements.csv")[::6]
     for offset, status, words in ((0.0, 0, "not seen by these rows"), (0.02, 3, "the zero of elbow_joint, by -")):
         own.assign(elbow_joint=own["elbow_joint"] + offset).to_csv(tmp_path / "own.csv", index=False)
         assert main(["check", str(tmp_path), str(tmp_path / "own.csv")]) == status

@@ -80,7 +80,7 @@ def test_what_nobody_knew_takes_up_as_many_numbers_as_it_has(kind: str, tmp_path
     """The squares that are left are as many as are counted: else alarms would be too few or too many."""
     new = read_new_rows(ur10().saved, by_instruments(ur10(), tmp_path, [kind], n=150))
     rng, squares, numbers, alarms = np.random.default_rng(0), 0.0, 0, 0
-    for _ in range(12):
+    for _ in range(6):
         rows = new.rows.select(rng.choice(len(new.rows), 30, replace=False))
         found = check(ur10().saved, rows, frames=new.frames).first
         squares, numbers, alarms = (

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import io
 import json
 from pathlib import Path
 
@@ -46,37 +48,25 @@ def error(m: Machine, saved: SavedModel, offset: np.ndarray | float = 0.0) -> fl
     return float(np.sqrt(np.mean(np.sum((told - real) ** 2, axis=1))))
 
 
-@pytest.mark.parametrize("kind", ["pose", "position"])
-def test_ten_rows_after_a_jump_make_a_calibration_as_good_as_before(kind):
-    ratios = []
-    for seed in range(3):
+def test_ten_rows_after_a_jump_make_a_calibration_as_good_as_before_and_its_uncertainty_is_that_stated():
+    ratios, pulls = [], []
+    for seed, kind in enumerate(["pose", "position"] * 2):
         m = machine(300 + seed, kind)
         for joint in range(1, 5):
             rows = m.measured(m.configurations(10), jump(joint, 5e-4))
             mended = repair_calibration(m.saved, check(m.saved, rows))
             assert [c.cause.where for c in mended.changes] == [NAMES[joint]]
+            pulls.append((mended.changes[0].value[0] - 5e-4) / mended.changes[0].std[0])
             ratios.append(error(m, mended.saved, jump(joint, 5e-4)) / error(m, m.saved))
             assert error(m, m.saved, jump(joint, 5e-4)) > 2 * error(m, m.saved)
     assert np.sqrt(np.mean(np.square(ratios))) < 1.15
-
-
-def test_the_jump_is_recovered_with_the_uncertainty_that_is_stated():
-    pulls = []
-    for seed in range(6):
-        m = machine(400 + seed)
-        for joint in (1, 4):
-            rows = m.measured(m.configurations(10), jump(joint, 1e-3))
-            change = repair_calibration(m.saved, check(m.saved, rows)).changes[
-                0
-            ]  # in one of a hundred a second one is chance
-            pulls.append((change.value[0] - 1e-3) / change.std[0])
     assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.4
 
 
 @pytest.mark.parametrize(
     ("kind", "joint", "size"),
     [
-        ("pose", 4, 1.0), ("position", 1, -2.9), ("pose", 2, 3.1), ("position", 5, 2 * np.pi / 100),
+        ("position", 1, -2.9), ("pose", 2, 3.1), ("position", 5, 2 * np.pi / 100),
         ("pose", 3, 2 * np.pi + 1.7),
     ],
 )  # fmt: skip
@@ -219,12 +209,22 @@ def new_rows(path: Path, offset: np.ndarray | float, seed: int = 7) -> Path:
     return calibrated.table(m.measured(m.configurations(10), offset), path)
 
 
-def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, tmp_path, capsys):
+@pytest.fixture(scope="module")
+def repaired(results, tmp_path_factory) -> tuple[Path, Path]:
+    """New rows after the elbow's zero moved by 1 mrad, and the folder that is made with them."""
+    folder = tmp_path_factory.mktemp("repaired")
+    csv = new_rows(folder / "new.csv", jump(2, 1e-3))
+    old, said = (results / "calibration.yaml").read_bytes(), io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert main(["recalibrate", str(results), str(csv), "-o", str(folder / "repaired")]) == 0
+    assert "moved: the zero of elbow_joint, by +1.0" in said.getvalue()
+    assert (results / "calibration.yaml").read_bytes() == old
+    return csv, folder / "repaired"
+
+
+def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, repaired, tmp_path):
+    csv, out = repaired
     old = (results / "calibration.yaml").read_bytes()
-    csv = new_rows(tmp_path / "new.csv", jump(2, 1e-3))
-    out = tmp_path / "repaired"
-    assert main(["recalibrate", str(results), str(csv), "-o", str(out)]) == 0
-    assert "moved: the zero of elbow_joint, by +1.0" in capsys.readouterr().out
     every = {p.name for p in results.iterdir()} | {
         "report.html",
         "scene.html",
@@ -233,7 +233,6 @@ def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, tm
         "frames.yaml",
     }
     assert every <= {p.name for p in out.iterdir()}
-    assert (results / "calibration.yaml").read_bytes() == old
 
     found = json.loads((out / "result.json").read_text())
     lineage = found["lineage"]
@@ -316,11 +315,9 @@ def test_python_checks_and_mends_as_the_commands_do(results, tmp_path, capsys):
         aridcal.Calibration(loaded.model).recalibrate(csv, tmp_path / "other")
 
 
-def test_a_second_repair_keeps_the_lineage_of_the_first(results, tmp_path):
-    once, twice = tmp_path / "once", tmp_path / "twice"
-    first = new_rows(tmp_path / "first.csv", jump(2, 1e-3))
+def test_a_second_repair_keeps_the_lineage_of_the_first(repaired, tmp_path):
+    once, twice = repaired[1], tmp_path / "twice"
     second = new_rows(tmp_path / "second.csv", jump(2, 1e-3) + jump(4, -2e-3))
-    assert main(["recalibrate", str(results), str(first), "-o", str(once)]) == 0
     assert main(["recalibrate", str(once / "calibration.yaml"), str(second), "-o", str(twice)]) == 0
     lineage = json.loads((twice / "result.json").read_text())["lineage"]
     assert lineage["moved"] == ["wrist_2_joint"]

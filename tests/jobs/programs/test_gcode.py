@@ -31,8 +31,8 @@ def test_only_numbers_change_and_a_controller_of_its_own_brings_the_real_gantry_
     calibration, program, out = (tmp_path / name for name in ("calibration.yaml", "a.nc", "b.nc"))
     calibration.write_text(m.saved.dump())
     before, after, model, parts = [], [], [], []
-    for seed in range(3):
-        made = gcode(np.random.default_rng(seed), low, high, 25)
+    for seed in range(2):
+        made = gcode(np.random.default_rng(seed), low, high, 36)
         program.write_bytes(made.text.encode())
         (tmp_path / "frames.yaml").write_text(made.frames)
         arguments = [str(calibration), str(program), "-o", str(out), "--frames", str(tmp_path / "frames.yaml")]

@@ -450,9 +450,9 @@ def krl_program(n: int) -> str:
 
 
 def test_a_program_that_speaks_against_the_zeros_is_answered_with_what_to_state(tmp_path: Path) -> None:
-    wrong = compensated(KUKA.robot(LIMITS, upright=True), ".src", krl_program(30), tmp_path)
+    wrong = compensated(KUKA.robot(LIMITS, upright=True), ".src", krl_program(12), tmp_path)
     assert any("--zeros 0,-90,90,0,0,0" in line and line.startswith("note: ") for line in wrong)
-    right = compensated(KUKA.robot(), ".src", krl_program(30), tmp_path)
+    right = compensated(KUKA.robot(), ".src", krl_program(12), tmp_path)
     assert not any("--zeros" in line for line in right)
 
 

@@ -154,12 +154,6 @@ BACKLASH = tuple(
 """Joints that stand elsewhere when they come from the other side."""
 
 
-def missing_axes(n: int, rng: np.random.Generator) -> list[Target]:
-    """Joints of which some targets state one or two alone."""
-    ways = seam(n, rng)
-    return [stated(q, *(() if k % 5 == 0 else rng.choice(6, 2, replace=False).tolist())) for k, q in enumerate(ways)]
-
-
 def mixed(n: int, rng: np.random.Generator) -> list[Target]:
     """Joints, some of them alone, and poses, some of which are out of reach."""
     found = []
@@ -171,10 +165,8 @@ def mixed(n: int, rng: np.random.Generator) -> list[Target]:
 
 
 PROGRAMS: dict[str, Callable[[int, np.random.Generator], list[Target]]] = {
-    "along a seam": lambda n, rng: [shown(robots.ur10(), q) for q in seam(n, rng)],
     "through singularities": lambda n, rng: [shown(robots.ur10(), q) for q in crossing(n, rng)],
     "far apart": lambda n, rng: [shown(robots.ur10(), q) for q in HOME + rng.uniform(-1.0, 1.0, (n // 3, 6))],
-    "missing axes": missing_axes,
     "all together": mixed,
 }
 

@@ -122,9 +122,10 @@ def test_more_rows_noise_or_outliers_leave_the_machine_as_it_is(tmp_path):
 
 
 def test_constants_are_drawn_with_their_own_deviation(tmp_path):
-    drawn = [simulate(scenario(tmp_path, {"seed": s, "n": 1})).parameters for s in range(80)]
-    for name in ("joint_4.x", "joint_1.beta"):
-        assert stats.kstest([d[name] for d in drawn], stats.norm(0, 2e-3).cdf).pvalue > 1e-3
+    drawn = [simulate(scenario(tmp_path, {"seed": s, "n": 1})).parameters for s in range(40)]
+    values = [d[name] for d in drawn for name in ("joint_4.x", "joint_1.beta")]
+    assert stats.kstest(values, stats.norm(0, 2e-3).cdf).pvalue > 1e-3
+    assert np.std(values) == pytest.approx(2e-3, rel=4 / np.sqrt(2 * len(values)))
 
 
 def test_configurations_fill_the_limits_of_all_readings_evenly(tmp_path):

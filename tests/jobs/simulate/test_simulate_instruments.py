@@ -15,12 +15,14 @@ from simulated_instruments import EYE, TRUTH, UR10, scenario
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.instruments.camera import INTRINSICS
 from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS, labelled
+from aridcal.engine.inverse import reachable
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import load_campaign
 from aridcal.files.read import load_measurements
 from aridcal.identify import main as identify
+from aridcal.jobs.simulate import camera_postures
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
 from aridcal.simulate import main
@@ -285,8 +287,10 @@ def test_the_command_writes_a_campaign_that_holds_no_truth(tmp_path: Path) -> No
     ],
 )  # fmt: skip
 def test_what_cannot_be_simulated_is_refused(
-    measurements: object, instruments: dict, truth: dict, says: str, tmp_path: Path
+    measurements: object, instruments: dict, truth: dict, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(reachable, "MOST_ROUNDS", 2)  # what is metres away is looked for no more often than that
+    monkeypatch.setattr(camera_postures, "DRAWS", 2)
     with pytest.raises(CampaignError, match=says):
         simulate(scenario(tmp_path, measurements, instruments, **truth))
 
