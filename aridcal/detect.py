@@ -204,7 +204,7 @@ def _main(arguments: argparse.Namespace) -> None:
 
 
 def _write(
-    seen: BoardImages,
+    images: BoardImages,
     out: Path,
     camera: str,
     known_lens: ArmCameraSettings | None,
@@ -215,60 +215,61 @@ def _write(
     remarks: list[str] = []
     lens = None
     if known_lens is None:
-        seen, lens, remark = _with_own_lens(seen)
+        images, lens, remark = _with_own_lens(images)
         remarks += [remark] if remark else []
     else:
-        seen = _with_known_lens(seen, known_lens)
+        images = _with_known_lens(images, known_lens)
     if joints is None:
         remarks.append("joints are missing: give --joints, a table with the columns image and one for each joint")
     else:
-        lacking = [name for name in seen.good if name not in joints[1]]
-        seen = seen.without(dict.fromkeys(lacking, "the table of joints has no row for this image"))
-        unseen = sorted(set(joints[1]) - set(seen.shot))
+        lacking = [name for name in images.good if name not in joints[1]]
+        images = images.without(dict.fromkeys(lacking, "the table of joints has no row for this image"))
+        unseen = sorted(set(joints[1]) - set(images.shot))
         remarks += [f"{len(unseen)} rows of the table of joints name no image: {name_list(unseen)}"] if unseen else []
-    if not seen.good:
-        name, why = next(iter(seen.refused.items()))
+    if not images.good:
+        name, why = next(iter(images.refused.items()))
         raise AridcalError(f"no image is left. {shortened(printable(name))}: {why}")
-    table = pixels_table(seen, camera)
+    table = pixels_table(images, camera)
     if joints is not None:
         cells = joints[0].frame().drop(columns="image")
         rows = table["image"].map(joints[1]).to_numpy()
         table = pd.concat([table, cells.iloc[rows].reset_index(drop=True)], axis=1)
-    refused = [(seen.shot[name], name, why) for name, why in seen.refused.items()]
-    text = camera_text(camera, lens, seen.size, len(seen.good)) if lens else ""
+    refused = [(images.shot[name], name, why) for name, why in images.refused.items()]
+    text = camera_text(camera, lens, images.size, len(images.good)) if lens else ""
     with atomic_table(out, FILES_BESIDE_MARKS) as folder:
         table.to_csv(folder / out.name, index=False, float_format="%.17g")
         in_plain_words(pd.DataFrame(refused, columns=["shot", "image", "why"])).to_csv(folder / REFUSED, index=False)
         if text or stated_text:  # beside the table, where `init` looks for it
             (folder / CAMERA).write_bytes(text.encode() or stated_text)
     lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN_REMARKS]]
-    found = f"{out}: {len(table)} marks in {len(seen.good)} images, {len(refused)} images refused"
+    found = f"{out}: {len(table)} marks in {len(images.good)} images, {len(refused)} images refused"
     return [*lines, *remarks, *([f"{out.parent / CAMERA}:", text.rstrip()] if text else []), found]
 
 
-def _with_own_lens(seen: BoardImages) -> tuple[BoardImages, Lens | None, str]:
+def _with_own_lens(images: BoardImages) -> tuple[BoardImages, Lens | None, str]:
     """Estimate the camera's numbers; images that contradict the others are refused, once, and the rest estimated anew."""
     try:
-        lens = estimate(list(seen.good.values()), seen.size)
-        names = np.array(list(seen.good))
+        lens = estimate(list(images.good.values()), images.size)
+        names = np.array(list(images.good))
         if lens.strange.any() and len(names) - lens.strange.sum() >= FEWEST_VIEWS:
             off = zip(names[lens.strange].tolist(), lens.misfit[lens.strange], strict=True)
-            seen = seen.without({name: _strange(misfit) for name, misfit in off})
-            lens = estimate(list(seen.good.values()), seen.size)
+            images = images.without({name: _strange(misfit) for name, misfit in off})
+            lens = estimate(list(images.good.values()), images.size)
     except LensUnknown as problem:
-        return seen, None, f"the camera's numbers are not estimated: {problem}"
-    return seen, lens, ""
+        return images, None, f"the camera's numbers are not estimated: {problem}"
+    return images, lens, ""
 
 
-def _with_known_lens(seen: BoardImages, camera: ArmCameraSettings) -> BoardImages:
+def _with_known_lens(images: BoardImages, camera: ArmCameraSettings) -> BoardImages:
     """Refuse images that do not show the board as this camera would."""
-    if (camera.width, camera.height) != seen.size:
+    if (camera.width, camera.height) != images.size:
         raise AridcalError(
-            f"--intrinsics: the camera has {camera.width} x {camera.height} pixels, the images {seen.size[0]} x {seen.size[1]}"
+            f"--intrinsics: the camera has {camera.width} x {camera.height} pixels, "
+            f"the images {images.size[0]} x {images.size[1]}"
         )
-    names, misfit = list(seen.good), fit(list(seen.good.values()), camera.intrinsics)
+    names, misfit = list(images.good), fit(list(images.good.values()), camera.intrinsics)
     lens = Lens(camera.intrinsics, np.zeros(len(camera.intrinsics)), misfit)
-    return seen.without({name: _strange(misfit[k]) for k, name in enumerate(names) if lens.strange[k]})
+    return images.without({name: _strange(misfit[k]) for k, name in enumerate(names) if lens.strange[k]})
 
 
 def _strange(misfit: float) -> str:

@@ -46,10 +46,10 @@ ALL: Defaults = {**ALL_BOARDS, **SQUARE_SHEETS, **BODIES}
 MOST_SQUARES = 1000
 
 
-def markers_table(found: Marks) -> pd.DataFrame:
+def markers_table(marks: Marks) -> pd.DataFrame:
     """Marks as rows of ``markers.csv``: marker, x, y, z in the board's frame, [m]."""
-    table = pd.DataFrame(found.places.round(9) + 0.0, columns=["x", "y", "z"])
-    table.insert(0, "marker", found.names)
+    table = pd.DataFrame(marks.places.round(9) + 0.0, columns=["x", "y", "z"])
+    table.insert(0, "marker", marks.names)
     return table
 
 

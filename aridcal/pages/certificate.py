@@ -253,7 +253,7 @@ def _reasons(outcome: Outcome) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class _Known:
+class _TargetUncertainty:
     """Expanded uncertainty of the target's position in its worst direction, [mm].
 
     Attributes:
@@ -267,7 +267,7 @@ class _Known:
     anywhere: float
 
 
-def _known(outcome: Outcome) -> _Known | None:
+def _known(outcome: Outcome) -> _TargetUncertainty | None:
     """How well the target is known; None where nothing measures its place, or no length gives its scale."""
     precision = outcome.precision
     certainty = outcome.certainty
@@ -278,7 +278,7 @@ def _known(outcome: Outcome) -> _Known | None:
     ):
         return None
     median, most = (1e3 * COVERAGE * float(f(precision.position)) for f in (np.median, np.max))
-    return _Known(median, most, 1e3 * COVERAGE * float(np.percentile(certainty.anywhere.sigma, 95)))
+    return _TargetUncertainty(median, most, 1e3 * COVERAGE * float(np.percentile(certainty.anywhere.sigma, 95)))
 
 
 def _tolerances(outcome: Outcome) -> Iterator[tuple[str, str]]:
@@ -294,7 +294,7 @@ def _tolerances(outcome: Outcome) -> Iterator[tuple[str, str]]:
             yield f"Tolerance of {part.of}", f"{number(1e3 * part.tolerance)} {unit}: {answer} {sure}"
 
 
-def _in_short(target: _Known | None) -> str:
+def _in_short(target: _TargetUncertainty | None) -> str:
     """The uncertainty among the figures."""
     return (
         "not known"
@@ -303,7 +303,7 @@ def _in_short(target: _Known | None) -> str:
     )
 
 
-def _uncertainty(outcome: Outcome, target: _Known | None) -> str:
+def _uncertainty(outcome: Outcome, target: _TargetUncertainty | None) -> str:
     """Expanded uncertainty of the target, and what it leaves out."""
     scale = "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in scale_in_words(outcome))
     if target is None:

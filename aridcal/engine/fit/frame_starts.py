@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,7 +149,7 @@ def _levers(data: PoseRows, hint: np.ndarray) -> list[np.ndarray]:
     return [t.reshape(tips, 3) for t in _distinct(slid, SAME_MINIMUM_SHARE * size)[:BEST_STARTS]]
 
 
-def _distinct(places: Sequence[np.ndarray], apart: float) -> list[np.ndarray]:
+def _distinct(places: Iterable[np.ndarray], apart: float) -> list[np.ndarray]:
     """Translations without those that hardly differ from an earlier one."""
     distinct: list[np.ndarray] = []
     for t in places:

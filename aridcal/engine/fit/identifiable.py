@@ -87,25 +87,27 @@ def _is_measurable(length: float | np.ndarray) -> bool | np.ndarray:
     return length * REDUNDANT_SIGMA >= 1.0
 
 
-def _extended(R: np.ndarray, length: np.ndarray, kept: list[int], candidates: Sequence[int], share: float) -> list[int]:
+def _extended(
+    R: np.ndarray, length: np.ndarray, columns: list[int], candidates: Sequence[int], share: float
+) -> list[int]:
     """Kept columns and the candidates of which more than a share of their length is new and can be measured.
 
     Gram-Schmidt, twice for each column, so that the new part is right to rounding.
     """
-    basis, kept = np.empty((len(R), R.shape[1])), list(kept)
-    first = np.linalg.qr(R[:, kept])[0]
+    basis, columns = np.empty((len(R), R.shape[1])), list(columns)
+    first = np.linalg.qr(R[:, columns])[0]
     basis[:, : first.shape[1]], count = first, first.shape[1]
     for k in candidates:
-        if k in kept:
+        if k in columns:
             continue
         Q = basis[:, :count]
         rest = R[:, k] - Q @ (Q.T @ R[:, k])
         rest -= Q @ (Q.T @ rest)
         new_length = float(np.sqrt(rest @ rest))
         if new_length > share * length[k] and _is_measurable(new_length):
-            kept.append(k)
+            columns.append(k)
             basis[:, count], count = rest / new_length, count + 1
-    return kept
+    return columns
 
 
 def _without_weak(R: np.ndarray, length: np.ndarray, kept: list[int], order: Sequence[int]) -> list[int]:
@@ -154,13 +156,13 @@ def _weakest(T: np.ndarray) -> tuple[float, np.ndarray]:
     return float(value[0] ** -0.5), vector[:, 0]
 
 
-def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.ndarray) -> dict[int, tuple[int, ...]]:
+def _partners(R: np.ndarray, dropped: list[int], columns: list[int], length: np.ndarray) -> dict[int, tuple[int, ...]]:
     """For each dropped column, the kept columns whose sum imitates it; none if it moves nothing."""
-    moving = [k for k in dropped if kept and _is_measurable(length[k])]
+    moving = [k for k in dropped if columns and _is_measurable(length[k])]
     partners: dict[int, tuple[int, ...]] = dict.fromkeys(dropped, ())
     if moving:
-        shares = np.linalg.lstsq(R[:, kept] / length[kept], R[:, moving] / length[moving], rcond=None)[0]
+        shares = np.linalg.lstsq(R[:, columns] / length[columns], R[:, moving] / length[moving], rcond=None)[0]
         for k, share in zip(moving, shares.T, strict=True):
             largest_first = np.argsort(-np.abs(share))
-            partners[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > CLEARLY_IDENTIFIABLE)
+            partners[k] = tuple(columns[i] for i in largest_first if abs(share[i]) > CLEARLY_IDENTIFIABLE)
     return partners

@@ -402,16 +402,16 @@ def _columns_elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -
     return np.asarray((J[:, :numbers] / spread(sigma, problem.channels)[:, None]).reshape(-1, len(theta)))
 
 
-def _motions_of_groups(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequence[int]]) -> list[np.ndarray]:
+def _motions_of_groups(R: np.ndarray, columns: Sequence[int], groups: Sequence[Sequence[int]]) -> list[np.ndarray]:
     r"""For each group of candidates how the fitted coefficients move with it: T of :math:`J = J_{kept} T`, shape (K, n_g) each.
 
     Args:
         R: Triangle of the columns of all candidates, shape (all, all).
-        kept: Candidates that are fitted.
+        columns: Candidates that are fitted.
         groups: Candidates of each group; a coefficient of no group has no prior.
     """
-    T = np.linalg.lstsq(R[:, kept], R, rcond=None)[0]
-    free = [k for k, candidate in enumerate(kept) if not any(candidate in group for group in groups)]
+    T = np.linalg.lstsq(R[:, columns], R, rcond=None)[0]
+    free = [k for k, candidate in enumerate(columns) if not any(candidate in group for group in groups)]
     T[free] = 0.0
     return [T[:, list(group)] for group in groups if len(group)]
 
@@ -503,11 +503,11 @@ def thin(rows: ModelRows, most: int, groups: Groups | None = None) -> np.ndarray
     return np.sort(np.concatenate(choices))
 
 
-def _of_fewer_coefficients(problem: Problem, kept: Sequence[int]) -> Problem:
+def _of_fewer_coefficients(problem: Problem, columns: Sequence[int]) -> Problem:
     """The problem for some of its coefficients alone, with their bases."""
-    if len(kept) == len(problem.model.coefficients):
+    if len(columns) == len(problem.model.coefficients):
         return problem
-    return replace(problem, measured=problem.measured.narrowed(kept))
+    return replace(problem, measured=problem.measured.narrowed(columns))
 
 
 def _noise_of_residuals(combined: CombinedEquations, sigma: np.ndarray) -> np.ndarray:

@@ -75,11 +75,11 @@ def _influence(influence: Influence, train: Dataset) -> dict[str, Any]:
     return {"target_std_mm": 1e3 * influence.sigma, "deciding": len(influence.deciding), "rows": rows}
 
 
-def _known(known: Identifiability) -> dict[str, Any]:
+def _known(identifiability: Identifiability) -> dict[str, Any]:
     """Combinations of constants, and the minimal set of them."""
     return {
         "combinations": [
-            {"parts": dict(c.parts), "unit": c.unit or "m and rad", "std": c.std} for c in known.combinations
+            {"parts": dict(c.parts), "unit": c.unit or "m and rad", "std": c.std} for c in identifiability.combinations
         ],
         "pairs": [
             {
@@ -88,9 +88,9 @@ def _known(known: Identifiability) -> dict[str, Any]:
                 "std_of_sum": p.of_sum,
                 "std_of_difference": p.of_difference,
             }
-            for p in known.pairs
+            for p in identifiability.pairs
         ],
-        "minimal_set": list(known.names),
-        "could_stay_nominal": list(known.spare),
-        "target_mm": {"moves": 1e3 * known.shift, "std": 1e3 * known.sigma},
+        "minimal_set": list(identifiability.names),
+        "could_stay_nominal": list(identifiability.spare),
+        "target_mm": {"moves": 1e3 * identifiability.shift, "std": 1e3 * identifiability.sigma},
     }

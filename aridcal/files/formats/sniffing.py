@@ -141,23 +141,23 @@ FEWEST_JOINTS, MOST_JOINTS = 2, 16
 """Columns that are left for joints where nobody names any."""
 
 
-def _names(found: TableLayout, path: Path, who: str, pick: Pick) -> tuple[str, ...]:
+def _names(layout: TableLayout, path: Path, who: str, pick: Pick) -> tuple[str, ...]:
     """Names of the columns of a table without a header, as somebody chooses them: joints by their numbers, and a pose.
 
     Raises:
         MeasurementError: no usual table has so many columns.
     """
-    count = len(found.rows[0])
+    count = len(layout.rows[0])
     answers: dict[str, tuple[str, ...]] = {}
     for turn in ORIENTATIONS:
         pose = (*PLACE, *turn)
         joints = count - len(pose)
-        if FEWEST_JOINTS <= joints <= MOST_JOINTS and found.numeric >= set(range(count)):
+        if FEWEST_JOINTS <= joints <= MOST_JOINTS and layout.numeric >= set(range(count)):
             numbered = tuple(f"q{k + 1}" for k in range(joints))
             answers[f"{joints} joints, then {' '.join(pose)}"] = (*numbered, *pose)
             answers[f"{' '.join(pose)}, then {joints} joints"] = (*pose, *numbered)
     nothing = f"no line names its {count} columns{_of(who)}"
-    remedy = f"write their names above line {found.first}, joints as in the URDF, then x y z and the orientation's"
+    remedy = f"write their names above line {layout.first}, joints as in the URDF, then x y z and the orientation's"
     if not answers:
         raise MeasurementError(f"{path}: {nothing}; {remedy}")
     chosen = pick("table.names", f"{path}: which columns are these", list(answers), f"{nothing}; answer, or {remedy}")
@@ -168,9 +168,9 @@ def _of(who: str) -> str:
     return f" (it looks like an export of {who})" if who else ""
 
 
-def _first_row(found: TableLayout) -> int:
+def _first_row(layout: TableLayout) -> int:
     """0 where rows begin right below the header."""
-    return 0 if found.first == max(found.header, default=0) + 1 else found.first
+    return 0 if layout.first == max(layout.header, default=0) + 1 else layout.first
 
 
 def _samples(content: bytes, path: Path, pick: Pick) -> FileFormat:
@@ -203,11 +203,11 @@ def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, s
     return ("" if len(names) == 1 else tables[k]), texts[tables[k]]
 
 
-def _lists(found: TableLayout) -> dict[str, tuple[str, ...]]:
+def _lists(layout: TableLayout) -> dict[str, tuple[str, ...]]:
     """Columns of lists, and names for their numbers."""
     lists: dict[str, tuple[str, ...]] = {}
-    for k, name in enumerate(found.names):
-        cells = [row[k] for row in found.rows if k < len(row) and row[k]]
+    for k, name in enumerate(layout.names):
+        cells = [row[k] for row in layout.rows if k < len(row) and row[k]]
         sizes = {len(numbers_in_list(cell, PLAIN)) for cell in cells if list_size(cell)}
         if not (name and cells) or len(sizes) != 1 or not all(map(list_size, cells)):
             continue
@@ -228,43 +228,43 @@ def _lists(found: TableLayout) -> dict[str, tuple[str, ...]]:
             named = (
                 {3: ("x", "y", "z")}.get(size) if about in ("position", "xyz", "translation", "point", "p") else None
             )
-        taken = set(found.names) | {part for parts in lists.values() for part in parts}
+        taken = set(layout.names) | {part for parts in lists.values() for part in parts}
         if named is None or set(named) & taken:
             named = tuple(f"{name} {number + 1}" for number in range(size))
         lists[name] = named
     return lists
 
 
-def _dates(found: TableLayout, path: Path, pick: Pick) -> Dates | None:
+def _dates(layout: TableLayout, path: Path, pick: Pick) -> Dates | None:
     """Columns of dates and times of day, if any, and the order of their numbers."""
     columns: list[str] = []
-    for k, name in enumerate(found.names):
-        cells = _filled(found, k)
-        if k in found.numeric or not (name and cells) or not orders(cells):
+    for k, name in enumerate(layout.names):
+        cells = _filled(layout, k)
+        if k in layout.numeric or not (name and cells) or not orders(cells):
             continue
         if any(word in name.lower() for word in CLOCK_WORDS) or has_date(cells[0]):
             columns.append(name)
     if not columns:
         return None
-    place = {name: k for k, name in enumerate(found.names)}
-    dated = [name for name in columns if has_date(_filled(found, place[name])[0])]
+    place = {name: k for k, name in enumerate(layout.names)}
+    dated = [name for name in columns if has_date(_filled(layout, place[name])[0])]
     clocks = [name for name in columns if name not in dated]
-    whole = [name for name in dated if ":" in _filled(found, place[name])[0]]
+    whole = [name for name in dated if ":" in _filled(layout, place[name])[0]]
     if whole:
         chosen = whole[:1]
     elif dated and clocks:
         chosen = [dated[0], clocks[0]]
     else:
         chosen = (dated or clocks)[:1]
-    rows = [" ".join(row[place[name]] for name in chosen) for row in found.rows]
+    rows = [" ".join(row[place[name]] for name in chosen) for row in layout.rows]
     filled = [row for row in rows if row.strip()]
     return Dates(
         _order(filled, chosen, path, pick), tuple(sorted(chosen, key=lambda name: (name in clocks, place[name])))
     )
 
 
-def _filled(found: TableLayout, k: int) -> list[str]:
-    return [row[k] for row in found.rows if k < len(row) and row[k]]
+def _filled(layout: TableLayout, k: int) -> list[str]:
+    return [row[k] for row in layout.rows if k < len(row) and row[k]]
 
 
 def _order(cells: Sequence[str], names: Sequence[str], path: Path, pick: Pick) -> str:

@@ -124,7 +124,7 @@ def fit(images: Sequence[ImageMarks], intrinsics: np.ndarray) -> np.ndarray:
     return misfit
 
 
-def _is_plane(found: ImageMarks, rows: np.ndarray) -> bool:
+def _is_plane(marks: ImageMarks, rows: np.ndarray) -> bool:
     """Four marks or more that are not on one line."""
-    extents = np.linalg.svd(found.places[rows] - found.places[rows].mean(axis=0), compute_uv=False)
+    extents = np.linalg.svd(marks.places[rows] - marks.places[rows].mean(axis=0), compute_uv=False)
     return len(rows) >= 4 and bool(extents[1] > 1e-6 * extents[0])

@@ -74,7 +74,7 @@ def document(place: CameraPlace, arm: Arm) -> dict[str, Any]:
     }
 
 
-def _to_paste(place: CameraPlace, known: str, arm: Arm) -> str:
+def _to_paste(place: CameraPlace, certainty: str, arm: Arm) -> str:
     """Everything that people paste, each under a heading."""
     xyz, q = _digits(place.placement.translation), _digits(_quaternion(place))
     names = f"{place.parent} {_frame(place)}"
@@ -92,7 +92,7 @@ def _to_paste(place: CameraPlace, known: str, arm: Arm) -> str:
         "URDF": f"<link name={quoteattr(_frame(place))}/>\n{_joint(place, place.parent, '')}",
         "beside it": "the same for xacro (.xacro), MoveIt (.launch.py), easy_handeye (.easy_handeye.yaml, .easy_handeye2.calib)",
     }
-    head = f"{known}\n{GOES_WITH[arm]}\n{OPTICAL}\n"
+    head = f"{certainty}\n{GOES_WITH[arm]}\n{OPTICAL}\n"
     return head + "".join(f"\n{title}\n{indent(text, '    ')}\n" for title, text in parts.items())
 
 
@@ -109,14 +109,14 @@ def _joint(place: CameraPlace, parent: str, prefix: str) -> str:
     )
 
 
-def _xacro(place: CameraPlace, known: str) -> str:
+def _xacro(place: CameraPlace, certainty: str) -> str:
     """A macro that adds the camera's frame to a robot; its name is the camera's as an identifier."""
     name, prefix = _plain(place.name).replace("-", "_"), "${prefix}"
     parameters = f"prefix:='' parent:='{place.parent}'"
     body = f"<link name={quoteattr(prefix + _frame(place))}/>\n{_joint(place, '${parent}', prefix)}"
     return (
         '<?xml version="1.0"?>\n'
-        f"<!-- {known.replace('--', '- -')} -->\n"
+        f"<!-- {certainty.replace('--', '- -')} -->\n"
         f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro">\n'
         f"  <xacro:macro name={quoteattr(name)} params={quoteattr(parameters)}>\n"
         f"{indent(body, '    ')}\n"
@@ -125,7 +125,7 @@ def _xacro(place: CameraPlace, known: str) -> str:
     )
 
 
-def _launch(place: CameraPlace, known: str) -> str:
+def _launch(place: CameraPlace, certainty: str) -> str:
     """A launch file of ROS 2 like the one that MoveIt's hand-eye panel saves."""
     values = _digits(place.placement.translation) + _digits(_quaternion(place))
     pairs = [
@@ -138,7 +138,7 @@ def _launch(place: CameraPlace, known: str) -> str:
         f"                {f'--{name}'!r}, {value!r},\n" for name, value in zip(words[::2], words[1::2], strict=True)
     )
     return (
-        f"# {known}\n"
+        f"# {certainty}\n"
         "from launch import LaunchDescription\n"
         "from launch_ros.actions import Node\n\n\n"
         "def generate_launch_description():\n"
@@ -170,8 +170,8 @@ def _easy_handeye(place: CameraPlace, base: str, tip: str, further: Mapping[str,
     return yaml.safe_dump({"parameters": parameters, "transformation": numbers}, sort_keys=False)
 
 
-def _commented(known: str, arm: Arm) -> str:
-    return "".join(f"# {line}\n" for line in (known, GOES_WITH[arm], OPTICAL))
+def _commented(certainty: str, arm: Arm) -> str:
+    return "".join(f"# {line}\n" for line in (certainty, GOES_WITH[arm], OPTICAL))
 
 
 def _frame(place: CameraPlace) -> str:

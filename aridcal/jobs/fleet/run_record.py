@@ -131,20 +131,20 @@ def _row(robot: str, path: Path, inputs: Inputs, campaign: Campaign | None) -> R
     }
 
 
-def _stages(found: Mapping[str, Any]) -> list[Row]:
+def _stages(result: Mapping[str, Any]) -> list[Row]:
     """Errors of every stage on held-out rows, one entry for each channel."""
-    rows = found["n"]["test"]
+    rows = result["n"]["test"]
     return [
         {"stage": stage, "channel": channel, "rows": rows} | {name: figures[name] for name in STATISTICS}
-        for stage, parts in found["error"].items()
+        for stage, parts in result["error"].items()
         for channel, figures in parts["test"].items()
     ]
 
 
-def _effects(found: Mapping[str, Any], effects: list[Effect], channel: str) -> list[Row]:
+def _effects(result: Mapping[str, Any], effects: list[Effect], channel: str) -> list[Row]:
     """One entry for each coefficient of each effect; the document has them in the same order."""
     rows = []
-    for effect, said in zip(effects, found["effects"], strict=True):
+    for effect, said in zip(effects, result["effects"], strict=True):
         gain = next(value for key, value in said.items() if key.startswith(f"{channel}_rms_"))
         unit = next(key for key in said if key.startswith(f"{channel}_rms_")).replace("_rms_", "_")
         component = {c.name: c.component for c in effect.coefficients}

@@ -75,19 +75,19 @@ def write_runs(rows: Mapping[str, Row], trials: Mapping[str, Trial], folder: Pat
 
 
 def studied(
-    trials: Mapping[str, Trial], known: Mapping[str, Row], folder: Path, engine: Engine, progress: Progress
+    trials: Mapping[str, Trial], earlier: Mapping[str, Row], folder: Path, engine: Engine, progress: Progress
 ) -> StudyResult:
     """Do every run that is not known; the table is written every minute and at the end, also if the work is stopped.
 
     Args:
         trials: All runs.
-        known: Those that need not be done.
+        earlier: Those that need not be done.
         folder: Of the table, claimed by the caller.
         engine: Does the work.
         progress: Told how far it is.
     """
-    rows = dict(known)
-    waiting = {f"aridcal-{key}-{folder.absolute()}": trial for key, trial in trials.items() if key not in known}
+    rows = dict(earlier)
+    waiting = {f"aridcal-{key}-{folder.absolute()}": trial for key, trial in trials.items() if key not in earlier}
     progress(f"{len(waiting):,} runs")
     saved = time.monotonic()
     gone, done = "", 0
@@ -107,4 +107,4 @@ def studied(
         gone = str(problem)
     finally:
         ordered = write_runs(rows, trials, folder)
-    return StudyResult(ordered, len(known), len(trials) - len(rows), gone)
+    return StudyResult(ordered, len(earlier), len(trials) - len(rows), gone)

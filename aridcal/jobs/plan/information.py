@@ -110,9 +110,9 @@ def expected_rows(setup: PlanSetup) -> np.ndarray:
     return _beforehand_rows(problem(setup.model, setup.patterns), setup)
 
 
-def _columns(things: int, kept: Sequence[int]) -> np.ndarray:
+def _columns(things: int, columns: Sequence[int]) -> np.ndarray:
     """Indices of the unknowns that are asked about: of the things, and of the coefficients kept."""
-    return np.concatenate([np.arange(things), things + np.array(kept, dtype=int)])
+    return np.concatenate([np.arange(things), things + np.array(columns, dtype=int)])
 
 
 def _whitened(question: Problem, setup: PlanSetup) -> tuple[np.ndarray, np.ndarray]:

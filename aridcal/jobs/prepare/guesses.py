@@ -90,18 +90,18 @@ class Chooser:
             )
         return answer
 
-    def check(self, asked: Sequence[str]) -> None:
+    def check(self, names: Sequence[str]) -> None:
         """Refuse answers to questions that are never asked.
 
         Args:
-            asked: Keys of all questions that there are.
+            names: Keys of all questions that there are.
 
         Raises:
             CampaignError: naming it.
         """
         for key in self.settled:
-            if key not in asked and not key.startswith(OF_TARGETS):
-                raise CampaignError(f"--set {key}: nothing of that name is ever asked{nearest(key, asked)}")
+            if key not in names and not key.startswith(OF_TARGETS):
+                raise CampaignError(f"--set {key}: nothing of that name is ever asked{nearest(key, names)}")
 
 
 def _numbered(answers: Sequence[str]) -> str:

@@ -168,14 +168,16 @@ class _Setup:
         return Sight(real, self.looked_at, tuple(numbers), printed, self.size)
 
 
-def sight(things: TrueThings, known: InstrumentDeclarations, tips: Tips, draw: Draw, rng: np.random.Generator) -> Sight:
+def sight(
+    things: TrueThings, declarations: InstrumentDeclarations, tips: Tips, draw: Draw, rng: np.random.Generator
+) -> Sight:
     """Cameras and markers as they are; see :mod:`aridcal.jobs.simulate.true_things`.
 
     What is not given stands where the arm shows or sees it from many postures: the best of some places.
 
     Args:
         things: What the scenario says.
-        known: What the campaign knows.
+        declarations: What the campaign knows.
         tips: Where cameras and boards are from each other.
         draw: Draws postures.
         rng: Draws places.
@@ -183,17 +185,17 @@ def sight(things: TrueThings, known: InstrumentDeclarations, tips: Tips, draw: D
     Raises:
         CampaignError: the markers are given, but not of which of two boards.
     """
-    settings = known.settings
+    settings = declarations.settings
     looked_at = {name: settings.looked_at(name) for name in settings.cameras}
     carriers: list[Carrier] = list(dict.fromkeys(carrier for each in looked_at.values() for carrier in each))
     if len(carriers) > 1 and isinstance(things.markers, dict):
         raise CampaignError(
-            f"{known.origin}: truth.instruments.markers: there are cameras on the tip and beside the arm; write a number, "
+            f"{declarations.origin}: truth.instruments.markers: there are cameras on the tip and beside the arm; write a number, "
             "and each sees so many of its own"
         )
     setup = _Setup(
-        {name: real_camera(known, name, things.cameras.get(name, TrueCamera())) for name in settings.cameras},
-        tuple(_board(carrier, len(carriers) == 1, things, known, rng) for carrier in carriers),
+        {name: real_camera(declarations, name, things.cameras.get(name, TrueCamera())) for name in settings.cameras},
+        tuple(_board(carrier, len(carriers) == 1, things, declarations, rng) for carrier in carriers),
         tuple(tuple(map(carriers.index, each)) for each in looked_at.values()),
         np.array([[camera.width, camera.height] for camera in settings.cameras.values()], dtype=float),
     )
@@ -203,7 +205,7 @@ def sight(things: TrueThings, known: InstrumentDeclarations, tips: Tips, draw: D
 
 
 def _board(
-    carrier: Carrier, alone: bool, things: TrueThings, known: InstrumentDeclarations, rng: np.random.Generator
+    carrier: Carrier, alone: bool, things: TrueThings, declarations: InstrumentDeclarations, rng: np.random.Generator
 ) -> _Board:
     """The markers on a carrier; those of the world have no place yet where nobody says it.
 
@@ -211,13 +213,13 @@ def _board(
         carrier: What they are on.
         alone: Whether all markers are on it.
         things: What the scenario says.
-        known: What the campaign knows.
+        declarations: What the campaign knows.
         rng: Draws markers, and how a printed board's are off.
     """
     place: np.ndarray | None = None
-    board = known.boards.get(BOARD_PREFIX + carrier)
+    board = declarations.boards.get(BOARD_PREFIX + carrier)
     if board is not None:
-        markers = {label: marker for label, marker in known.markers.items() if marker.on == carrier}
+        markers = {label: marker for label, marker in declarations.markers.items() if marker.on == carrier}
         labels = tuple(markers)
         std = np.array([marker.std for marker in markers.values()])
         xyz = np.array([marker.xyz for marker in markers.values()])
@@ -270,13 +272,13 @@ def _looking_at(middle: np.ndarray, distance: float) -> np.ndarray:
     return view
 
 
-def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place: str) -> tuple[np.ndarray, np.ndarray]:
+def draw_images(sight: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place: str) -> tuple[np.ndarray, np.ndarray]:
     """Readings from which each image shows enough, shape (K, columns), and the markers in it, shape (K, markers) bool.
 
     Of several boards each is in turn what an image must show; others may come into it.
 
     Args:
-        seen: Cameras and markers as they are.
+        sight: Cameras and markers as they are.
         cameras: Number of the camera of each image, shape (K,).
         tips: Where cameras and boards are from each other.
         draw: Draws postures.
@@ -286,24 +288,24 @@ def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place:
         CampaignError: a camera sees the markers from hardly any posture.
     """
     readings = np.empty((len(cameras), draw(1).shape[1]))
-    shown = np.zeros((len(cameras), len(seen.real["marker"].names)), dtype=bool)
+    shown = np.zeros((len(cameras), len(sight.real["marker"].names)), dtype=bool)
     for c in np.unique(cameras).tolist():
-        boards = seen.boards[c]
+        boards = sight.boards[c]
         for turn, board in enumerate(boards):
-            missing, board_markers = np.flatnonzero(cameras == c)[turn :: len(boards)], seen.markers[board]
+            missing, board_markers = np.flatnonzero(cameras == c)[turn :: len(boards)], sight.markers[board]
             for _ in range(DRAWS):
                 if not len(missing):
                     break
                 q = draw(POOL)
-                markers = seen.shown(c, tips, q)
+                markers = sight.shown(c, tips, q)
                 usable = np.flatnonzero(markers[:, board_markers].any(axis=1))[: len(missing)]
                 readings[missing[: len(usable)]] = q[usable]
                 shown[missing[: len(usable)]] = markers[usable]
                 missing = missing[len(usable) :]
             if len(missing):
                 raise CampaignError(
-                    f"{place}: the camera {seen.real['camera'].names[c]} sees the markers on "
-                    f"{seen.real['board'].names[board].removeprefix(BOARD_PREFIX)} from hardly any posture of the robot: move "
+                    f"{place}: the camera {sight.real['camera'].names[c]} sees the markers on "
+                    f"{sight.real['board'].names[board].removeprefix(BOARD_PREFIX)} from hardly any posture of the robot: move "
                     f"camera "
                     "or markers under `truth.instruments`"
                 )

@@ -93,7 +93,7 @@ class BlockRows:
 
     def along(
         self,
-        known: InstrumentDeclarations,
+        declarations: InstrumentDeclarations,
         real: Mapping[str, RealThings],
         tip: str,
         links: tuple[str, str] | None = None,
@@ -101,14 +101,14 @@ class BlockRows:
         """The rows with the paths that they take.
 
         Args:
-            known: What carries the things.
+            declarations: What carries the things.
             real: Their names.
             tip: The robot's.
             links: That hold one body.
         """
         refers = [self.labels(role.name, real) for role in self.kind.roles]
         labels = np.column_stack(refers) if refers else np.zeros((len(self.shot), 0), dtype=str)
-        routes_of_rows = routes_of(known, self.kind.name, labels, self.target, tip, links)
+        routes_of_rows = routes_of(declarations, self.kind.name, labels, self.target, tip, links)
         routes = tuple(dict.fromkeys(routes_of_rows))
         number = {route: k for k, route in enumerate(routes)}
         return replace(
@@ -316,12 +316,12 @@ def _of_grasps(scenario: Scenario, number: int) -> str:
     return f"{scenario.blocks[number].title}_{GRASP.name}" if several else GRASP.name
 
 
-def _tips(known: InstrumentDeclarations, machine: Machine) -> Tips:
+def _tips(declarations: InstrumentDeclarations, machine: Machine) -> Tips:
     """Poses of a camera's carrier in a board's carrier, or of the board's carrier in the world if that carries the camera."""
 
     @cache
     def between(camera: str, board: str) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        (route,) = routes_of(known, "pixels", np.array([[camera, board, ""]]), None, machine.robot.tip)
+        (route,) = routes_of(declarations, "pixels", np.array([[camera, board, ""]]), None, machine.robot.tip)
         return machine.along(route, TIP)
 
     return lambda readings, camera, board: between(camera, board)(readings)
@@ -331,7 +331,7 @@ def _first_rows(
     scenario: Scenario,
     number: int,
     machine: Machine,
-    known: InstrumentDeclarations,
+    declarations: InstrumentDeclarations,
     real: Mapping[str, RealThings],
     cameras_seen: Sight | None,
     rng: np.random.Generator,
@@ -351,11 +351,11 @@ def _first_rows(
         numbers = [names.index(block.camera)] if block.camera is not None else list(range(len(names)))
         camera = np.array(numbers)[np.arange(n) % len(numbers)]
         draw = partial(draw_readings, machine.robot, rng=rng)
-        readings, shown = draw_images(cameras_seen, camera, _tips(known, machine), draw, place)
+        readings, shown = draw_images(cameras_seen, camera, _tips(declarations, machine), draw, place)
         shot, marker = np.nonzero(shown)
         refers = np.column_stack([camera[shot], cameras_seen.board_of[marker], marker])
         rows = BlockRows(kind, readings[shot], shot, refers, np.full(len(shot), TIP), np.zeros(len(shot)))
-        return rows.along(known, real, machine.robot.tip)
+        return rows.along(declarations, real, machine.robot.tip)
     labels = _labels_of_block(scenario, block)
     shot = np.arange(n)
     count = len(real[kind.roles[0].name].names) if labelled(kind.name) else 1
@@ -368,7 +368,7 @@ def _first_rows(
     target = np.array(labels)[shot // count % len(labels)]
     gauge = truth.instruments.gauge if kind.gauges else 0.0
     rows = BlockRows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
-    rows = rows.along(known, real, machine.robot.tip, block.links)
+    rows = rows.along(declarations, real, machine.robot.tip, block.links)
     miss = rows.miss(real, np.zeros((n, 1)))
     if miss is None:
         return replace(rows, readings=draw_readings(machine.robot, n, rng))
@@ -397,7 +397,7 @@ def _errors(
 def _with_effects(
     scenario: Scenario,
     machine: Machine,
-    known: InstrumentDeclarations,
+    declarations: InstrumentDeclarations,
     rows: list[BlockRows],
     real: Mapping[str, RealThings],
     errors: Sequence[np.ndarray],
@@ -433,7 +433,10 @@ def _with_effects(
     }
     names_of_things = {name for _, name in components}
     linked = {
-        name for role, things_of_role in real.items() for name in things_of_role.names if known.linked(role, name)
+        name
+        for role, things_of_role in real.items()
+        for name in things_of_role.names
+        if declarations.linked(role, name)
     }
     plane = np.concatenate([each.labels("plane", real) for each in rows])
     touching = any(each.miss(real, e) is not None for each, e in zip(rows, errors, strict=True))

@@ -98,39 +98,39 @@ class RealThings:
     states: np.ndarray
 
 
-def _labels(stated: int | Mapping[str, object], known: Sequence[str], word: str) -> tuple[str, ...]:
+def _labels(stated: int | Mapping[str, object], names: Sequence[str], word: str) -> tuple[str, ...]:
     """Labels of the things that are given or known; if there are none, of those that are drawn."""
     if isinstance(stated, Mapping):
-        return tuple(dict.fromkeys((*known, *stated)))
-    return tuple(known) or tuple(f"{word}_{k + 1}" for k in range(stated))
+        return tuple(dict.fromkeys((*names, *stated)))
+    return tuple(names) or tuple(f"{word}_{k + 1}" for k in range(stated))
 
 
 def true_points(
-    things: TrueThings, known: InstrumentDeclarations, around: Around, rng: np.random.Generator
+    things: TrueThings, declarations: InstrumentDeclarations, around: Around, rng: np.random.Generator
 ) -> RealThings:
     """Points: as given, as the campaign's table has them but for its sigma, or drawn where the arm reaches, or on their link.
 
     Args:
         things: What the scenario says.
-        known: What the campaign knows.
+        declarations: What the campaign knows.
         around: Where they may be.
         rng: Draws the others.
     """
     given_points = things.points if isinstance(things.points, dict) else {}
-    lengths = [each for each in known.settings.lengths if not known.markers]
+    lengths = [each for each in declarations.settings.lengths if not declarations.markers]
     at_ends = [name for each in lengths for name in each.between] if not given_points else []
-    names = list(_labels(things.points, (*known.points,), "point"))
-    if not isinstance(things.points, dict) and not known.points:
+    names = list(_labels(things.points, (*declarations.points,), "point"))
+    if not isinstance(things.points, dict) and not declarations.points:
         names = list(dict.fromkeys((*at_ends, *names)))[: max(len(dict.fromkeys(at_ends)), things.points)]
     points: dict[str, np.ndarray] = {}
     for name in names:
         if name in given_points:
             points[name] = np.array(given_points[name])
-        elif name in known.points:
-            std = known.points[name].std
-            points[name] = known.points[name].xyz + (std * rng.standard_normal(3) if np.isfinite(std) else 0.0)
+        elif name in declarations.points:
+            std = declarations.points[name].std
+            points[name] = declarations.points[name].xyz + (std * rng.standard_normal(3) if np.isfinite(std) else 0.0)
         else:
-            points[name] = _apart(name, lengths, points, around(known.carrier("point", name)), rng)
+            points[name] = _apart(name, lengths, points, around(declarations.carrier("point", name)), rng)
     return RealThings(tuple(points), np.array([*points.values()]).reshape(-1, 3))
 
 
@@ -153,20 +153,20 @@ def _apart(
 
 
 def true_anchors(
-    things: TrueThings, known: InstrumentDeclarations, around: Around, rng: np.random.Generator
+    things: TrueThings, declarations: InstrumentDeclarations, around: Around, rng: np.random.Generator
 ) -> RealThings:
     """Anchors around the workspace; see :func:`true_points`."""
     given_anchors = things.anchors if isinstance(things.anchors, dict) else {}
-    names = _labels(things.anchors, (*known.settings.anchors,), "anchor")
+    names = _labels(things.anchors, (*declarations.settings.anchors,), "anchor")
     states = []
     for name in names:
-        reachable = around(known.carrier("anchor", name))
+        reachable = around(declarations.carrier("anchor", name))
         middle = reachable.mean(axis=0)
         radius = float(np.sqrt(np.mean(np.sum((reachable - middle) ** 2, axis=1))))
         direction = rng.standard_normal(3)
         xyz = middle + radius * rng.uniform(*ANCHOR_DISTANCES) * direction / np.linalg.norm(direction)
         offset, scale = rng.uniform(*WIRE_OFFSETS), 1.0 + SCALE_SIGMA * rng.standard_normal()
-        stated, true = known.settings.anchors.get(name), given_anchors.get(name, TrueAnchor())
+        stated, true = declarations.settings.anchors.get(name), given_anchors.get(name, TrueAnchor())
         if stated is None or "scale" not in stated.identify:
             scale = 1.0 if stated is None else stated.scale
         if stated is not None:
@@ -184,17 +184,17 @@ def true_anchors(
 
 
 def true_planes(
-    things: TrueThings, known: InstrumentDeclarations, around: Around, rng: np.random.Generator
+    things: TrueThings, declarations: InstrumentDeclarations, around: Around, rng: np.random.Generator
 ) -> RealThings:
     """Planes through the workspace, those that are known to be perpendicular so; see :func:`true_points`."""
     given_planes = things.planes if isinstance(things.planes, dict) else {}
-    pairs = [pair.between for pair in known.settings.perpendicular]
-    declared = (*known.settings.planes, *(name for pair in pairs for name in pair))
+    pairs = [pair.between for pair in declarations.settings.perpendicular]
+    declared = (*declarations.settings.planes, *(name for pair in pairs for name in pair))
     planes: dict[str, np.ndarray] = {}
     for name in _labels(things.planes, tuple(dict.fromkeys(declared)), "plane"):
-        reachable = around(known.carrier("plane", name))
+        reachable = around(declarations.carrier("plane", name))
         normal, through = rng.standard_normal(3), reachable[int(rng.integers(len(reachable)))]
-        stated, true = known.settings.planes.get(name), given_planes.get(name)
+        stated, true = declarations.settings.planes.get(name), given_planes.get(name)
         others = [planes[end][:3] for pair in pairs if name in pair for end in pair if end in planes]
         if others:
             U, size, _ = np.linalg.svd(np.array(others).T)
@@ -251,9 +251,9 @@ def state_of_place(place: np.ndarray) -> np.ndarray:
     return np.r_[place[:3, 3], place[:3, :3].ravel()]
 
 
-def real_camera(known: InstrumentDeclarations, name: str, true: TrueCamera) -> RealCamera:
+def real_camera(declarations: InstrumentDeclarations, name: str, true: TrueCamera) -> RealCamera:
     """A camera as the scenario says, and where it does not, as the campaign states it."""
-    stated = known.settings.cameras[name]
+    stated = declarations.settings.cameras[name]
     lens = stated.intrinsics
     for k, value in enumerate((true.fx, true.fy, true.cx, true.cy)):
         lens[k] = lens[k] if value is None else value

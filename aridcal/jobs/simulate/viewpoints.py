@@ -137,11 +137,11 @@ class _Pool:
         return self.q[np.argmin(off, axis=1)]
 
 
-def _good_views(model: Model, q: np.ndarray, optics: Optics, seen: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
+def _good_views(model: Model, q: np.ndarray, optics: Optics, visible: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """Tell which postures (N, columns) look at their square (N,) from near enough to what is wanted of a view, (N,)."""
     R, p = model.poses(np.zeros(0), model.rows(q))
     usable = []
-    for turn, at, index in zip(R, p, seen, strict=True):
+    for turn, at, index in zip(R, p, visible, strict=True):
         T_world_square = optics.squares[int(index)]
         normal, middle = T_world_square[:3, 2], T_world_square[:3, 3]
         tilt = np.arccos(np.clip(-turn[:, 2] @ normal, -1, 1))
@@ -154,13 +154,13 @@ def _good_views(model: Model, q: np.ndarray, optics: Optics, seen: np.ndarray, i
     return np.array(usable)
 
 
-def _aims(optics: Optics, seen: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _aims(optics: Optics, visible: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Draw wanted places of the camera (N, 3), [m], and directions of its optical axis (N, 3), for squares (N,).
 
     The axis leans from the square's normal by up to ``TILT``, evenly over the cone, and meets it within ``ASIDE``.
     """
-    n = len(seen)
-    T = np.array([optics.squares[int(k)] for k in seen])
+    n = len(visible)
+    T = np.array([optics.squares[int(k)] for k in visible])
     R, middle = T[:, :3, :3], T[:, :3, 3]
     by = TILT * np.sqrt(rng.random(n))
     towards = np.exp(2j * np.pi * rng.random(n))

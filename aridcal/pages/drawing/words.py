@@ -330,11 +330,11 @@ def how_to_separate(a: Effect, b: Effect, robot: Robot, columns: Mapping[str, np
     )
 
 
-def _change_one(change: str, kept: Sequence[str], columns: Mapping[str, np.ndarray]) -> str:
+def _change_one(change: str, names: Sequence[str], columns: Mapping[str, np.ndarray]) -> str:
     """How to change one covariate while others stay the same."""
     what, how = _words(change)
-    stays = " and ".join(_words(name)[0] for name in kept)
-    correlated = _correlated(change, kept, columns)
+    stays = " and ".join(_words(name)[0] for name in names)
+    correlated = _correlated(change, names, columns)
     return f"measure rows in which {what} changes while {stays} stays the same: {how}{correlated}."
 
 
@@ -369,9 +369,9 @@ def _words(name: str) -> tuple[str, str]:
     return name, f"move {name} over its range, in each of a few configurations of the other joints"
 
 
-def _correlated(change: str, kept: Sequence[str], columns: Mapping[str, np.ndarray]) -> str:
+def _correlated(change: str, names: Sequence[str], columns: Mapping[str, np.ndarray]) -> str:
     """A clause on the column that went together with the one to be changed in these data."""
-    for name in kept:
+    for name in names:
         if change in columns and name in columns:
             with np.errstate(invalid="ignore"):
                 r = float(np.corrcoef(columns[change], columns[name])[0, 1])

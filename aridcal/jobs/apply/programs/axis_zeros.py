@@ -58,12 +58,12 @@ LIMIT_TOLERANCE = 1.0
 """Degrees or millimetres beyond a limit that a description's rounding explains."""
 
 
-def cell_zeros(saved: SavedModel, given: str | None, language: Language) -> tuple[float, ...]:
+def cell_zeros(saved: SavedModel, text: str | None, language: Language) -> tuple[float, ...]:
     """What the controller shows of each axis of the arm where its reading is zero, in the program's units; empty: zero of each.
 
     Args:
         saved: The calibration, whose campaign may say it.
-        given: What the user says in its place: numbers with commas between them, one for each axis.
+        text: What the user says in its place: numbers with commas between them, one for each axis.
         language: Of the program.
 
     Raises:
@@ -71,7 +71,7 @@ def cell_zeros(saved: SavedModel, given: str | None, language: Language) -> tupl
     """
     robot = saved.final.model.robot
     axes = axes_of(robot.kinds)
-    if given is None:
+    if text is None:
         stated = [_stated(saved, k) for k in axes.arm]
         unknown = (k for k in axes.external if robot.readings[k] not in saved.controller_zeros)
         if any(_stated(saved, k) for k in unknown):
@@ -81,7 +81,7 @@ def cell_zeros(saved: SavedModel, given: str | None, language: Language) -> tupl
         units = axes.units(axes.arm, language.angle, language.length)
         zeros = tuple(value / unit for value, (unit, _) in zip(stated, units, strict=True))
     else:
-        zeros = _numbers(given, len(axes.arm))
+        zeros = _numbers(text, len(axes.arm))
     return zeros if any(zeros) else ()
 
 
@@ -104,10 +104,10 @@ def _stated(saved: SavedModel, reading: int) -> float:
     return float(own.zero[reading])
 
 
-def _numbers(given: str, count: int) -> tuple[float, ...]:
-    expected = f"--zeros {given}: should be {count} numbers with commas between them, one for each axis of the arm"
+def _numbers(text: str, count: int) -> tuple[float, ...]:
+    expected = f"--zeros {text}: should be {count} numbers with commas between them, one for each axis of the arm"
     try:
-        numbers = tuple(float(part) for part in given.split(","))
+        numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         raise CampaignError(f"{expected}, as in --zeros {','.join(['0'] * count)}") from None
     if len(numbers) != count or not all(math.isfinite(number) for number in numbers):

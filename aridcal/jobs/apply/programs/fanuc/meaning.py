@@ -90,12 +90,12 @@ class Meaning:
         codes: tuple[Code, ...],
         ours: Mapping[int, bool],
         spoken: frozenset[int],
-        given: StatedFrames,
+        stated: StatedFrames,
         cell: Cell,
     ) -> None:
         self.ledger: Ledger[tuple[Code, Point]] = Ledger()
         self.assumed: set[str] = set()
-        self._listings, self._codes, self._given, self._cell = listings, codes, given, cell
+        self._listings, self._codes, self._given, self._cell = listings, codes, stated, cell
         self._targets = Targets(cell.axes, cell.anatomy is not None and not cell.frames.j3_from_link_2)
         self._misread: set[tuple[int, int]] = set()
         self._words: dict[tuple[int, int], Words | None] = {}

@@ -106,7 +106,7 @@ class _Prepared(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Given:
+class _PassedArguments:
     """A call with what it gives: each parameter with its value, and what that mentions."""
 
     line: str
@@ -266,37 +266,37 @@ class Meaning:
             nodes.append(Step(partial(self._unsteady, f"{self._line(bound, statement)} moves the arm")))
         return nodes
 
-    def _late(self, bound: BoundRoutine, statement: Statement, given: Arguments, guarded: bool) -> list[Node]:
+    def _late(self, bound: BoundRoutine, statement: Statement, arguments: Arguments, guarded: bool) -> list[Node]:
         prefix, _, whole = late(bound.code, statement)
         if whole and prefix:
             key = self.names.routine(bound.module, prefix)
-            return [self._to_routine(bound, statement, prefix, key, given, guarded)]
+            return [self._to_routine(bound, statement, prefix, key, arguments, guarded)]
         keys = self.names.begin_with(bound.module, prefix) if prefix else []
         if not keys:
-            return [self._to_routine(bound, statement, "", None, given, guarded)]
-        return [Choice(tuple((self._to_routine(bound, statement, prefix, key, given, guarded),) for key in keys))]
+            return [self._to_routine(bound, statement, "", None, arguments, guarded)]
+        return [Choice(tuple((self._to_routine(bound, statement, prefix, key, arguments, guarded),) for key in keys))]
 
     def _to_routine(
-        self, bound: BoundRoutine, statement: Statement, name: str, key: str | None, given: Arguments, guarded: bool
+        self, bound: BoundRoutine, statement: Statement, name: str, key: str | None, arguments: Arguments, guarded: bool
     ) -> Node:
         callee = self.names.routines.get(key) if key is not None else None
         line = self._line(bound, statement)
         if callee is None:
-            mentioned = [value for span in given.spans for value in self._mentioned(bound, statement, span)]
-            return Call("?" + name, _Given(line, (), tuple(mentioned), name))
+            mentioned = [value for span in arguments.spans for value in self._mentioned(bound, statement, span)]
+            return Call("?" + name, _PassedArguments(line, (), tuple(mentioned), name))
         parameters: list[tuple[Datum, Value | Datum]] = []
         mentioned = []
-        for parameter, span in matched(callee, given):
+        for parameter, span in matched(callee, arguments):
             if span is None:
                 parameters.append((parameter, Constant(ABSENT)))
             else:
                 parameters.append((parameter, self._argument(bound, statement, parameter, span)))
                 mentioned += self._mentioned(bound, statement, span)
-        if len(given.required) != sum(not p.declared.optional for p in callee.parameters):
-            return Call("?" + name, _Given(line, (), tuple(mentioned), name))
+        if len(arguments.required) != sum(not p.declared.optional for p in callee.parameters):
+            return Call("?" + name, _PassedArguments(line, (), tuple(mentioned), name))
         return Call(
             callee.key + GUARDED * (guarded or bound.routine.goes_on),
-            _Given(line, tuple(parameters), tuple(mentioned), name),
+            _PassedArguments(line, tuple(parameters), tuple(mentioned), name),
         )
 
     def _argument(
@@ -317,14 +317,14 @@ class Meaning:
         return self.expressions.destination(bound, *span, "pose" if pose else "joints", statement.loops)
 
     def _function(
-        self, bound: BoundRoutine, statement: Statement, name: str, given: Arguments, guarded: bool
+        self, bound: BoundRoutine, statement: Statement, name: str, arguments: Arguments, guarded: bool
     ) -> list[Node]:
         key = self.names.routine(bound.module, name)
         if key is None and name in FUNCTIONS:
             if name not in WRITING_FUNCTIONS:
                 return []
-            return self._writing(bound, given.spans, f"{self._line(bound, statement)} may change it")
-        return [self._to_routine(bound, statement, name, key, given, guarded)]
+            return self._writing(bound, arguments.spans, f"{self._line(bound, statement)} may change it")
+        return [self._to_routine(bound, statement, name, key, arguments, guarded)]
 
     # ---- statements
 
@@ -420,7 +420,7 @@ class Meaning:
             new = with_part(self.expressions.value(datum, state), place, new)
         state.set("data", datum.address, new)
 
-    def _mode(self, bound: BoundRoutine, statement: Statement, given: Arguments) -> Node:
+    def _mode(self, bound: BoundRoutine, statement: Statement, arguments: Arguments) -> Node:
         mode, how = MODES[statement.name]
         word = bound.code.text[statement.start : statement.start + len(statement.name)]
         line = f"{self._line(bound, statement)} ({word}) {WHY[mode]}"
@@ -428,13 +428,13 @@ class Meaning:
         if how == "default":
             value = Constant(DEFAULTS[mode])
         elif how == "switch":
-            words = {option.name for option in given.options if not option.sign}
+            words = {option.name for option in arguments.options if not option.sign}
             plain = words & {"on", "off", "wrist"}
-            if len(given.options) == 1 and plain:
+            if len(arguments.options) == 1 and plain:
                 (word,) = plain
                 value = Constant("off" if word == "wrist" else word)
-        elif how == "argument" and len(given.required) == 1 and not given.options:
-            frame = self.expressions.compile(bound, *given.required[0], statement.loops)
+        elif how == "argument" and len(arguments.required) == 1 and not arguments.options:
+            frame = self.expressions.compile(bound, *arguments.required[0], statement.loops)
 
             def value(state: ProgramState) -> object:
                 return transform(frame(state)) or Unknown(line)
@@ -456,12 +456,12 @@ class Meaning:
     # ---- moves
 
     def _move(
-        self, bound: BoundRoutine, statement: Statement, move: Move, given: Arguments, guarded: bool
+        self, bound: BoundRoutine, statement: Statement, move: Move, arguments: Arguments, guarded: bool
     ) -> list[Node]:
-        required, loops = given.required, statement.loops
+        required, loops = arguments.required, statement.loops
         line = self._line(bound, statement)
         why = move.why and f"{line}: {move.why}"
-        for option in given.options:
+        for option in arguments.options:
             if option.name not in PLAIN_OPTIONS or (option.sign == "?" and option.name != "wobj"):
                 why = why or f"{line}: what \\{option.name} does to the place is not known"
         spans = [required[k] if k < len(required) else None for k in move.points]
@@ -478,9 +478,9 @@ class Meaning:
             move,
             points,
             self.expressions.tool(bound, tool, loops) if pose else Constant(HERE),
-            self.expressions.work_object(bound, given.option("wobj"), loops) if pose else Constant(HERE),
+            self.expressions.work_object(bound, arguments.option("wobj"), loops) if pose else Constant(HERE),
             why,
-            given.option("noeoffs") is None,
+            arguments.option("noeoffs") is None,
         )
         nodes = self._reading(bound, statement, reading)
         if not nodes and not loops and not why:
@@ -668,26 +668,28 @@ class Meaning:
         bound = self.names.routines.get(name.removesuffix(GUARDED).removesuffix(" handlers"))
         if bound is None:
             return
-        if isinstance(what, _Given):
+        if isinstance(what, _PassedArguments):
             self._pass(what, state)
         for datum in bound.data:
             if not self.expressions.steady(datum):
                 self._set(datum, (), Constant(self.expressions.declared(datum)), state)
 
-    def _pass(self, given: _Given, state: ProgramState) -> None:
-        for parameter, value in given.parameters:
+    def _pass(self, arguments: _PassedArguments, state: ProgramState) -> None:
+        for parameter, value in arguments.parameters:
             if isinstance(value, Datum):
                 state.set("data", parameter.address, Alias(value))
             else:
                 state.set("data", parameter.address, value(state))
         kept = [
-            point for parameter, _ in given.parameters for point in points_of(self.expressions.value(parameter, state))
+            point
+            for parameter, _ in arguments.parameters
+            for point in points_of(self.expressions.value(parameter, state))
         ]
         if state.recording:
-            for mentioned in given.mentioned:
+            for mentioned in arguments.mentioned:
                 for own in points_of(mentioned(state)):
                     if own not in kept:
-                        self._spoil_all([own], f"{given.line} works out another place from it")
+                        self._spoil_all([own], f"{arguments.line} works out another place from it")
 
     def leave(self, what: object, name: str, state: ProgramState) -> None:
         """Drop parameters and own data."""
@@ -698,7 +700,7 @@ class Meaning:
 
     def absent(self, what: object, name: str, state: ProgramState) -> None:
         """A routine that is in no given file changes what it may."""
-        assert isinstance(what, _Given)
+        assert isinstance(what, _PassedArguments)
         shown = what.name or "a routine whose name is worked out"
         self._spoil(what.mentioned, f"{what.line} passes it on to {shown}, which is in no given file", state)
         if what.name not in self.cell.frames.harmless or name == "?":

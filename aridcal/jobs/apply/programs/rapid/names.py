@@ -334,18 +334,18 @@ class Names:
         elif name not in self.harmless:
             self._scatter(bound, given, why, absent(name))
 
-    def _look_at_instruction(self, bound: BoundRoutine, name: str, given: Arguments, why: str) -> None:
+    def _look_at_instruction(self, bound: BoundRoutine, name: str, arguments: Arguments, why: str) -> None:
         self.cut_short |= name == "exitcycle"
         if name in WRITING:
-            for span in given.spans:
+            for span in arguments.spans:
                 self._change_span(bound, span, why)
         if name in MOVES:
             for k in MOVES[name].written:
-                if k < len(given.required):
-                    self._change_span(bound, given.required[k], why)
+                if k < len(arguments.required):
+                    self._change_span(bound, arguments.required[k], why)
             routine = MOVES[name].routine
-            if routine is not None and routine < len(given.required):
-                self._look_at_named(bound, quoted_name(bound.code, given.required[routine]), why)
+            if routine is not None and routine < len(arguments.required):
+                self._look_at_named(bound, quoted_name(bound.code, arguments.required[routine]), why)
         if name in MODES and MODES[name][1] != "default":
             self.stepped.add(MODES[name][0])
         if name in WILD:
@@ -373,29 +373,29 @@ class Names:
             if not datum.owner and datum.declared.storage != "const" and (local or not datum.declared.local):
                 self._change_whole(datum, why)
 
-    def _look_at_function(self, bound: BoundRoutine, name: str, given: Arguments, why: str) -> None:
+    def _look_at_function(self, bound: BoundRoutine, name: str, arguments: Arguments, why: str) -> None:
         key = self.routine(bound.module, name)
         if key is not None and key in self.routines:
-            self._pass_on(bound, self.routines[key], given, why)
+            self._pass_on(bound, self.routines[key], arguments, why)
         elif key is None and name in FUNCTIONS:
             if name in WRITING_FUNCTIONS:
-                for span in given.spans:
+                for span in arguments.spans:
                     self._change_span(bound, span, why)
         elif name not in self.harmless:
-            self._scatter(bound, given, why, absent(name))
+            self._scatter(bound, arguments, why, absent(name))
 
-    def _scatter(self, bound: BoundRoutine, given: Arguments, why: str, reason: str) -> None:
+    def _scatter(self, bound: BoundRoutine, arguments: Arguments, why: str, reason: str) -> None:
         """A routine that is not known may change what it is given, and all that it sees."""
         self.unknown_calls = self.unknown_calls or reason
-        for span in given.spans:
+        for span in arguments.spans:
             self._change_span(bound, span, why)
         self._change_all(reason, local=False)
 
-    def _pass_on(self, bound: BoundRoutine, callee: BoundRoutine, given: Arguments, why: str) -> None:
+    def _pass_on(self, bound: BoundRoutine, callee: BoundRoutine, arguments: Arguments, why: str) -> None:
         """What the routine changes of its parameters, it changes of the data that they stand for."""
         if callee is not bound:
             self.called.add(callee.key)
-        for parameter, span in matched(callee, given):
+        for parameter, span in matched(callee, arguments):
             if parameter.declared.storage in ("var", "pers", "inout") and span is not None:
                 match = BARE.fullmatch(bound.code.plain, *span)
                 datum = bound.scope.datum(fold(match.group(1))) if match else None
@@ -436,12 +436,12 @@ class Names:
                     waiting.append(datum)
 
 
-def matched(callee: BoundRoutine, given: Arguments) -> Iterator[tuple[Datum, tuple[int, int] | None]]:
+def matched(callee: BoundRoutine, arguments: Arguments) -> Iterator[tuple[Datum, tuple[int, int] | None]]:
     """Each parameter of a routine with what is given for it; None where nothing is."""
-    required = iter(given.required)
+    required = iter(arguments.required)
     for parameter in callee.parameters:
         if parameter.declared.optional:
-            option = given.option(parameter.address[1])
+            option = arguments.option(parameter.address[1])
             yield parameter, option.span if option is not None and option.sign else None
         else:
             yield parameter, next(required, None)

@@ -76,9 +76,9 @@ def _broken(code: Code, codes: tuple[Code, ...], problem: MalformedStatement) ->
     return Target(line, name, "pose", NONE, why, file=code.file)
 
 
-def _clash(given: list[Module], modules_of_file: list[Module]) -> str:
+def _clash(modules: list[Module], modules_of_file: list[Module]) -> str:
     """A name that modules of one task cannot both declare for all; empty where there is none."""
-    names = {name for module in given for name in _global_names(module)}
+    names = {name for module in modules for name in _global_names(module)}
     return next((name for module in modules_of_file for name in _global_names(module) if fold(name) in names), "")
 
 

@@ -564,14 +564,16 @@ class Meaning:
         state.set("rest", None, call.at)
         return TEXT
 
-    def _mode(self, given: Mapping[str, object], state: ProgramState) -> str:
+    def _mode(self, arguments: Mapping[str, object], state: ProgramState) -> str:
         """Why the arm does not go just where a move says."""
         for mode in SWITCHED:
             active = state.get("mode", mode)
             if active:
                 return active.why if isinstance(active, Unknown) else str(active)
         return (
-            "" if given.get(MODE, 0.0) == 0.0 else "the circle's mode does not go to the orientation that stands there"
+            ""
+            if arguments.get(MODE, 0.0) == 0.0
+            else "the circle's mode does not go to the orientation that stands there"
         )
 
     def _only_position(self, goal: str, value: object) -> str:

@@ -75,12 +75,12 @@ class Meaning:
         ours: Mapping[int, bool],
         spoken: frozenset[int],
         walked: frozenset[int],
-        given: StatedFrames,
+        stated: StatedFrames,
         cell: Cell,
     ) -> None:
         self.ledger: Ledger[tuple[Code, Position]] = Ledger()
         self.assumed: set[str] = set()
-        self._jobs, self._codes, self._given, self._cell = jobs, codes, given, cell
+        self._jobs, self._codes, self._given, self._cell = jobs, codes, stated, cell
         self._targets, self._spoken = Targets(cell), spoken
         self._left: set[tuple[int, int]] = set()
         self._misread: set[tuple[int, int]] = set()

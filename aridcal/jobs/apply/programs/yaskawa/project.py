@@ -63,7 +63,7 @@ def _walked(
     codes: tuple[Code, ...],
     jobs: Sequence[Job],
     ours: Mapping[int, bool],
-    given: StatedFrames,
+    stated: StatedFrames,
     notes: tuple[str, ...],
 ) -> ProgramReading:
     flows = [read_flow(k, job) for k, job in enumerate(jobs)]
@@ -71,7 +71,7 @@ def _walked(
     spoken = reachable_programs([k for k in ours if ours[k]], calls, names)
     above = [k for k in ours if not ours[k] and reachable_programs([k], calls, names) & spoken and k not in spoken]
     walked = [k for k in ours if k in spoken or k in above]
-    meaning = Meaning(jobs, flows, codes, ours, spoken, frozenset(walked), given, cell)
+    meaning = Meaning(jobs, flows, codes, ours, spoken, frozenset(walked), stated, cell)
     walk = Walk({routine_of(names, k): flows[k].body for k in walked}, meaning)
     state = ProgramState()
     writes = [flow.writes for flow in flows]
