@@ -45,7 +45,6 @@ CASES: dict[str, tuple[list[str], object]] = {
     "point": (["point"], None),
     "distance": (["distance"], None),
     "plane": (["plane"], None),
-    "camera": (["pixels"], ON_TIP),
     "camera beside": (["pixels"], {"cameras": {"eye": EYE | {"on": "world"}}}),
     "two": (["distance", "inclination"], None),
 }

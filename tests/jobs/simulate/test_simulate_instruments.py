@@ -22,6 +22,8 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import load_campaign
 from aridcal.files.read import load_measurements
 from aridcal.identify import main as identify
+from aridcal.jobs.calibrate.folder import result_document
+from aridcal.jobs.calibrate.pipeline import identify as outcome_of
 from aridcal.jobs.simulate import camera_postures
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
@@ -298,19 +300,22 @@ def test_what_cannot_be_simulated_is_refused(
 def test_a_second_days_table_of_one_instrument_of_two_is_scored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From the command line: the wire's table alone, the sockets' alone; each beside its own rows of this day."""
+    """The wire's table alone, from the command line, the sockets' alone; each beside its own rows of this day."""
     blocks = [{"kind": "distance"}, {"kind": "point"}]
     noise = {"noise": {"distance": 5e-5, "position": 1e-4}, "n": 90}
     made = scenario(tmp_path, blocks, {}, **noise)
     made.path.write_text(made.path.read_text() + "diagnosis: {enabled: false}\n")
     assert main([str(made.path), "-o", str(tmp_path / "made")]) == 0
-    for number, key, limit in ((1, "distance_mm", 0.08), (2, "position_mm", 0.25)):
-        day = tmp_path / "made" / f"measurements_{number}.csv"
-        out = tmp_path / f"out{number}"
-        arguments = [str(tmp_path / "made" / "campaign.yaml"), "--out", str(out), "--verify", str(day)]
-        assert identify(arguments) == 0, capsys.readouterr().err
-        found = json.loads((out / "result.json").read_text())["verification"]
+    path, out = tmp_path / "made" / "campaign.yaml", tmp_path / "out"
+    days = {channel: path.parent / f"measurements_{k}.csv" for k, channel in ((1, "distance_mm"), (2, "position_mm"))}
+    arguments = [str(path), "--out", str(out), "--verify", str(days["distance_mm"])]
+    assert identify(arguments) == 0, capsys.readouterr().err
+    assert days["distance_mm"].name in (out / "report.html").read_text("utf-8")
+    told = {
+        "distance_mm": json.loads((out / "result.json").read_text()),
+        "position_mm": result_document(outcome_of(path, verify=days["position_mm"])),
+    }
+    for key, absent, limit in (("distance_mm", "position_mm", 0.08), ("position_mm", "distance_mm", 0.25)):
+        found = told[key]["verification"]
         assert found["rows"] == 90 and 0.0 < found["error"]["final"][key]["rms"] < limit
-        absent = {1: "position_mm", 2: "distance_mm"}[number]
         assert set(found["error"]["final"][absent].values()) == {None}
-        assert day.name in (out / "report.html").read_text("utf-8")
