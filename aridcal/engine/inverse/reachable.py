@@ -120,14 +120,13 @@ def settled(pose: Pose, miss: Miss, readings: np.ndarray, steps: int) -> np.ndar
 
 def _step(pose: Pose, miss: Miss, readings: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Newton's shortest step of some rows, shape (n, columns), and how far each still is, shape (n,)."""
-
-    def off(readings: np.ndarray) -> np.ndarray:
-        return miss(*pose(readings, rows), rows)
-
-    e = off(readings)
-    J = np.empty((*e.shape, readings.shape[1]))
-    for k, shift in enumerate(DIFFERENCE * np.eye(readings.shape[1])):
-        J[:, :, k] = (off(readings + shift) - off(readings - shift)) / (2 * DIFFERENCE)
+    count = readings.shape[1]
+    shifts = DIFFERENCE * np.vstack([np.zeros((1, count)), np.eye(count), -np.eye(count)])
+    every = np.tile(rows, len(shifts))
+    around = (readings + shifts[:, None]).reshape(-1, count)
+    off = miss(*pose(around, every), every).reshape(len(shifts), len(rows), -1)
+    e = off[0]
+    J = ((off[1 : count + 1] - off[count + 1 :]) / (2 * DIFFERENCE)).transpose(1, 2, 0)
     H = J @ J.transpose(0, 2, 1) + STRETCHED_ARM_DAMPING * np.eye(e.shape[1])
     step = -np.einsum("nkj,nk->nj", J, np.linalg.solve(H, e[:, :, None])[:, :, 0])
     longest = np.abs(step).max(axis=1, keepdims=True)

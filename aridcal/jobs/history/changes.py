@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from aridcal.engine.fit.normal_equations import across
 from aridcal.jobs.history.difference import Difference
@@ -215,8 +215,9 @@ def _gain(candidate: _Candidate, chosen: list[_Candidate], residual: np.ndarray)
 
 
 def _log_p(of: Difference, squares: float, count: int) -> float:
-    """Logarithm of the chance of a gain."""
-    return float(fisher.logsf(max(squares, 0.0) / count, count, min(of.freedom, 1e9)))
+    """Logarithm of the chance of a gain; -inf where that is below any float."""
+    with np.errstate(divide="ignore"):
+        return float(np.log(fdtrc(count, min(of.freedom, 1e9), max(squares, 0.0) / count)))
 
 
 def _cause(

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from aridcal.engine.corrections.effect import ROW_ORDER
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
@@ -129,6 +128,8 @@ def _draw_configurations(a: SavedModel, b: SavedModel, notices: list[str]) -> tu
     robot = a.final.model.robot
     covariates = sorted({*a.expected.model.needs, *b.expected.model.needs} - set(OVER_TIME))
     columns = [*robot.readings, *covariates]
+    from scipy.stats import qmc  # slow to load, and most comparisons go without it
+
     unit = qmc.Sobol(len(columns), seed=0).random(DRAWN_CONFIGURATIONS)
     samples = {}
     for share, name in zip(unit.T, columns, strict=True):

@@ -41,7 +41,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import svd
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.normal_equations import across, pseudo_inverse
@@ -155,7 +155,7 @@ class Difference:
         """Chance of a larger sum of squares of ``count`` of these numbers."""
         if count == 0:
             return 1.0
-        return float(fisher.sf(squares / count, count, min(self.freedom, 1e9)))
+        return float(fdtrc(count, min(self.freedom, 1e9), squares / count))
 
     @property
     def p_value(self) -> float:

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 YEAR = 365.25
 """[d]"""
@@ -285,7 +285,7 @@ def _shapes(day: np.ndarray) -> np.ndarray:
 def _bonferroni(z: np.ndarray) -> float:
     """p-value of the largest of some scores."""
     looked = np.sum(z != 0.0)
-    return float(min(1.0, 2.0 * looked * norm.sf(np.abs(z).max(initial=0.0))))
+    return float(min(1.0, 2.0 * looked * ndtr(-np.abs(z).max(initial=0.0))))
 
 
 def _p_of_pairs(series: Series) -> float:

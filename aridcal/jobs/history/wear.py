@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from aridcal.jobs.history.store import Runs
 from aridcal.jobs.history.trend import (
@@ -249,7 +249,7 @@ def _scatter(all_series: Sequence[tuple[str, str, str, Series]]) -> dict[str, fl
     for _, constant, _, series in all_series:
         squares, freedom = evidence(series).squares
         if freedom > 0:
-            ratios.setdefault(constant, []).append(squares / float(chi2.median(freedom)))
+            ratios.setdefault(constant, []).append(squares / float(chdtri(freedom, 0.5)))
     pooled = [ratio for own in ratios.values() for ratio in own]
     overall = float(np.median(pooled)) if pooled else 1.0
     return {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import ncx2, norm
+from scipy.special import chndtr, chndtrinc, ndtri
 
 from aridcal.engine.instruments.channels import columns
 from aridcal.engine.rows.dataset import Dataset
@@ -64,7 +64,7 @@ def bounds(residual: np.ndarray, sigma: float, taken: int = 0) -> Bounds:
     scale = sigma / np.sqrt(len(residual))
     estimate = scale * np.sqrt(max(squares - count, 0.0))
     if squares > NORMAL_FROM_SQUARES * count:
-        margin = scale * float(norm.isf(FALSE_ALARMS))
+        margin = scale * float(-ndtri(FALSE_ALARMS))
         return Bounds(float(estimate), float(estimate - margin), float(estimate + margin), axes)
     low, high = (_noncentrality(squares, count, share) for share in (1.0 - FALSE_ALARMS, FALSE_ALARMS))
     return Bounds(float(estimate), float(scale * np.sqrt(low)), float(scale * np.sqrt(high)), axes)
@@ -76,17 +76,4 @@ NORMAL_FROM_SQUARES = 1e4
 
 def _noncentrality(squares: float, count: int, share: float) -> float:
     """The noncentrality at which a share of sums of squares is below what was seen; 0 where even none makes that too few."""
-    low, high = 0.0, 4.0 * (squares + count) + 100.0
-    if ncx2.cdf(squares, count, low) <= share:
-        return 0.0
-    for _ in range(NONCENTRALITY_HALVINGS):
-        middle = 0.5 * (low + high)
-        if ncx2.cdf(squares, count, middle) > share:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
-NONCENTRALITY_HALVINGS = 60
-"""Of the interval that holds a noncentrality: to the last digits of a float."""
+    return 0.0 if chndtr(squares, count, 0.0) <= share else float(chndtrinc(squares, count, share))

@@ -24,8 +24,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import logsumexp
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc, logsumexp
 
 from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.tails import log_density, weights
@@ -352,7 +351,7 @@ def rank_of_unknowns(columns: np.ndarray) -> int:
 
 def tail(squares: float, count: int, freedom: float) -> float:
     """Probability of a larger sum of ``count`` squares, whose scale was estimated with some degrees of freedom."""
-    return float(f_distribution.sf(squares / count, count, freedom))
+    return float(fdtrc(count, freedom, squares / count))
 
 
 def _squares_along(B: np.ndarray, z: np.ndarray) -> tuple[float, int]:
