@@ -128,7 +128,7 @@ def _draw_configurations(a: SavedModel, b: SavedModel, notices: list[str]) -> tu
     robot = a.final.model.robot
     covariates = sorted({*a.expected.model.needs, *b.expected.model.needs} - set(OVER_TIME))
     columns = [*robot.readings, *covariates]
-    from scipy.stats import qmc  # slow to load, and most comparisons go without it
+    from scipy.stats import qmc  # slow to load: only where configurations are drawn
 
     unit = qmc.Sobol(len(columns), seed=0).random(DRAWN_CONFIGURATIONS)
     samples = {}
