@@ -135,7 +135,7 @@ def random_readings(robot: Robot, n: int, seed: int) -> np.ndarray:
 # --- model
 
 
-@examples(60)
+@examples(40)
 @given(chains(), SEEDS)
 def test_forward_kinematics_is_the_product_of_exponentials(drawn: list[Drawn], seed: int) -> None:
     robot = robot_of(drawn)
@@ -433,7 +433,7 @@ def predicted(found: Geometry, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 KINDS = st.sampled_from(["RR", "PRR", "RPR", "RRRR", "CRPR"])
 
 
-@examples(12)
+@examples(8)
 @given(KINDS, SEEDS, st.sampled_from(["pose", "position"]))
 @example("RPR", 37681269, "pose")  # turns that fit exactly while places are off by millimetres
 @example("PRR", 10, "pose")

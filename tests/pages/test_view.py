@@ -206,21 +206,6 @@ def test_package_uris_are_resolved(variable: str | None, tmp_path: Path, monkeyp
     assert find_mesh(os.path.relpath(mesh, folder), robot).samefile(mesh)
 
 
-def test_a_mesh_that_cannot_be_drawn_is_named_and_the_rest_is_drawn(tmp_path: Path) -> None:
-    (tmp_path / "broken.stl").write_bytes(b"solid nothing")
-    text = TOY.format(x=0, name="toy")
-    for link, uri in (("finger", "package://lost/a.dae"), ("tip", "broken.stl")):
-        visual = f'<visual><geometry><mesh filename="{uri}"/></geometry></visual>'
-        text = text.replace(f'<link name="{link}"/>', f'<link name="{link}">{visual}</link>')
-    shapes, notices = robot_shapes(parse_robot(text.encode(), "tip", "base", tmp_path / "toy.urdf"))
-    assert [s.kind for s in shapes] == ["box", "cylinder", "sphere"]
-    assert {s.colour for s in shapes} == {(1.0, 0.0, 0.0)}
-    assert len(notices) == 2
-    assert "'tip'" in notices[0]
-    assert "broken.stl" in notices[0]
-    assert "1 shape without a mesh file ('package://lost/a.dae')" in notices[1]
-
-
 @pytest.mark.parametrize(
     ("spoilt", "why"),
     [
