@@ -82,9 +82,7 @@ def test_an_effect_of_ten_times_the_noise_is_named_and_none_of_it_is_not(done: t
     assert {row["found"] for row in found.rows if row["size"] == 0.0} == {False}
 
 
-def test_the_error_against_the_truth_is_what_another_road_gives(
-    done: tuple[Path, StudyResult], tmp_path: Path
-) -> None:
+def test_the_error_against_the_truth_is_what_another_road_gives(done: tuple[Path, StudyResult], tmp_path: Path) -> None:
     """The campaign written, read and calibrated from its files; the truth by asking the true robot without noise."""
     path, found = done
     row = next(row for row in found.rows if (row["rows"], row["size"]) == (60, 1.0))

@@ -82,7 +82,9 @@ def test_fiducials_are_looked_for_again_with_the_lens_that_was_found(folder, cap
     """Second road: the same images read with a head.yaml that is right."""
     campaign = folder / "campaign.yaml"
     effects = "[{kind: lens_distortion, where: camera, motion: k1}, {kind: sonar_bias, where: sonar_2}]"
-    campaign.write_text(campaign.read_text().partition("diagnosis:")[0] + f"effects: {effects}\ndiagnosis: {{enabled: false}}\n")
+    campaign.write_text(
+        campaign.read_text().partition("diagnosis:")[0] + f"effects: {effects}\ndiagnosis: {{enabled: false}}\n"
+    )
     right = read(folder)[0].detections.fiducials
     head = folder / "head.yaml"
     head.write_text(head.read_text().replace("\ncamera: {", "\ncamera: {distortion: [0.15, 0, 0, 0, 0], "))

@@ -87,8 +87,8 @@ def test_sigmas_are_honest_in_large_and_quiet_images_too():
     size = 768
     intrinsics = np.array([1050.0, 1050.0, (size - 1) / 2, (size - 1) / 2, 0, 0, 0, 0, 0])
     of_centres = []
-    for k, T in enumerate(VIEWS[:3]):
-        image, sonars = look(T, ImageAppearance(noise=0.5), seed=20 + k, intrinsics=intrinsics, size=size)
+    for k, T in enumerate(VIEWS[1:4]):
+        image, sonars = look(T, ImageAppearance(noise=0.1), seed=21 + k, intrinsics=intrinsics, size=size)
         found = find_fiducials(image, AROUND, intrinsics, sonars)
         off = errors(found, T, intrinsics)
         of_centres += list(np.einsum("mi,mi->m", off, np.linalg.solve(found.covariances, off[..., None])[..., 0]))

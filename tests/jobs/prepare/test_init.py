@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from robots import SHARED_ROBOTS, URDF, random_placement, readings
+from robots import SHARED_ROBOTS, URDF, random_chain, random_placement, readings
 from scipy.spatial.transform import Rotation
 
 import aridcal.init
@@ -270,11 +270,12 @@ def test_a_campaign_that_is_there_is_never_overwritten(tmp_path, capsys):
 
 
 def test_measurements_of_another_robot_are_called_so(tmp_path):
-    robot = load_robot(URDF / "arid.urdf", "flange")
+    (tmp_path / "robot.urdf").write_bytes(random_chain(np.random.default_rng(3), "RRR"))
+    robot = load_robot(tmp_path / "robot.urdf", "tip")
     q, p, _ = measured(robot)
     rng = np.random.default_rng(0)
-    table = named(" ".join(robot.names), q[rng.permutation(len(q))]) | named("x y z", p)
-    made = draft(URDF / "arid.urdf", [pd.DataFrame(table)], tmp_path / "c.yaml", leave_open)
+    table = named(" ".join(robot.readings), q[rng.permutation(len(q))]) | named("x y z", p)
+    made = draft(tmp_path / "robot.urdf", [pd.DataFrame(table)], tmp_path / "c.yaml", leave_open)
     assert "MUCH" in made.campaign.text
     assert not next(g for g in made.proposal.guesses if g.key == "measurements.units").sure
 
@@ -367,10 +368,10 @@ def test_a_missing_calibration_is_answered_with_the_command_that_writes_one(tmp_
         SavedModel.load(tmp_path)
 
 
-def arguments(folder: Path, urdf: Path = UR10) -> list[str]:
-    """Of `aridcal init` for a robot and rows.csv of a folder, with nobody to ask."""
+def arguments(folder: Path) -> list[str]:
+    """Of `aridcal init` for the UR10 and rows.csv of a folder, with nobody to ask."""
     files = ["--measurements", str(folder / "rows.csv"), "-o", str(folder / "campaign.yaml")]
-    return ["--urdf", str(urdf), *files, "--quiet"]
+    return ["--urdf", str(UR10), *files, "--quiet"]
 
 
 def test_a_table_without_a_header_is_asked_about_once(tmp_path, capsys):
@@ -389,19 +390,24 @@ def test_a_table_without_a_header_is_asked_about_once(tmp_path, capsys):
     np.testing.assert_allclose(rows.readings[rows.as_read], q, atol=1e-12)
 
 
-def test_joints_in_each_others_columns_are_offered_mended(tmp_path, capsys):
-    """What counts backwards is offered likewise: `test_counting.py`."""
+def test_joints_in_each_others_columns_are_offered_mended(tmp_path):
+    """What counts backwards is offered likewise, and on the command line: `test_counting.py`."""
     robot = load_robot(URDF / "arid.urdf", "flange")
     q, p, R = measured(robot)
     written = q[:, [0, 1, 3, 2]]
     table = named(" ".join(robot.names), written) | named("x y z", p) | named("qx qy qz qw", R.as_quat())
     pd.DataFrame(table).to_csv(tmp_path / "rows.csv", index=False)
-    words = arguments(tmp_path, URDF / "arid.urdf")
-    assert aridcal.init.main(words) == 2
-    assert "--set reading=NUMBER" in (asked := capsys.readouterr().err) and "2 = as it stands" in asked
-    assert aridcal.init.main([*words, "--set", "reading=1"]) == 0
-    assert "MUCH" not in (tmp_path / "campaign.yaml").read_text()
-    rows = load_measurements(
-        load_campaign(tmp_path / "campaign.yaml"), robot.readings, robot.limits, robot.kinds, robot=robot
-    )
+    asked = []
+
+    def choose(question: str, answers: list[str], why: str) -> int:
+        asked.append((question, answers))
+        return 0
+
+    out = tmp_path / "campaign.yaml"
+    out.write_text(draft(URDF / "arid.urdf", [tmp_path / "rows.csv"], out, choose).campaign.text)
+    ((question, answers),) = asked
+    assert question == "how is the table to be read"
+    assert answers[0].startswith("joint_3 and joint_4 exchanged: ") and answers[1].startswith("as it stands: ")
+    assert "MUCH" not in out.read_text()
+    rows = load_measurements(load_campaign(out), robot.readings, robot.limits, robot.kinds, robot=robot)
     np.testing.assert_allclose(rows.readings[rows.as_read], q, atol=1e-12)

@@ -74,7 +74,7 @@ def test_an_inclinometer_is_recognised(folder):
     assert campaign.measurements.kind == "inclination" and rows.observed.shape[0] == N
 
 
-def pixels(camera: bool = True) -> dict[str, object]:
+def pixels() -> dict[str, object]:
     rng = np.random.default_rng(2)
     table = {
         "image": [f"shot_{k // 3}.png" for k in range(N)],
@@ -82,7 +82,7 @@ def pixels(camera: bool = True) -> dict[str, object]:
         "marker": ["c0", "c1", "c2"] * (N // 3),
     }
     table |= {"u": np.linspace(0, 639, N), "v": rng.permutation(np.linspace(0, 479, N)), "shot": np.arange(N) // 3}
-    return {name: cells for name, cells in table.items() if camera or name != "camera"} | joints()
+    return table | joints()
 
 
 def test_pixels_take_camera_and_board_from_the_files_beside_them(folder):
@@ -100,11 +100,10 @@ def test_pixels_take_camera_and_board_from_the_files_beside_them(folder):
     assert np.allclose(rows.instruments.things["marker"].start, [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])
 
 
-@pytest.mark.parametrize("camera", [True, False])
-def test_without_those_files_the_camera_is_guessed_and_said_to_be(folder, camera):
-    campaign, rows, text = proposed(folder, pixels(camera))
+def test_without_those_files_the_camera_is_guessed_and_said_to_be(folder):
+    campaign, rows, text = proposed(folder, {name: cells for name, cells in pixels().items() if name != "camera"})
     (label,) = campaign.instruments.cameras
-    assert label == ("eye" if camera else "camera_1")
+    assert label == "camera_1"
     assert (campaign.instruments.cameras[label].width, campaign.instruments.cameras[label].height) == (640, 480)
     assert "GUESSED: no camera.yaml" in text and "GUESSED: markers: no markers.csv" in text
     assert len(rows) == N

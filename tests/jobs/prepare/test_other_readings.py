@@ -69,7 +69,7 @@ def three() -> Robot:
     return robots.random_robot(3, "RRR")
 
 
-ROBOTS: dict[str, Callable[[], Robot]] = {"arid": robots.arid, "ur10": robots.ur10, "three": three}
+ROBOTS: dict[str, Callable[[], Robot]] = {"arid": robots.arid, "three": three}
 
 ROTATED = dict(zip(Q, ["qy", "qz", "qw", "qx"], strict=True))
 WRONG: dict[str, tuple[str, float, Spoil, dict[str, Any], str, dict[str, Any]]] = {
@@ -87,7 +87,7 @@ WRONG: dict[str, tuple[str, float, Spoil, dict[str, Any], str, dict[str, Any]]] 
                               {"units": {"angle": "deg"}}),
     "a sign that axes absorb": ("three", 0.3, scaled(-1.0, "joint_2"), {}, "joint_2 with the other sign",
                                  {"joints": {"joint_2": {"sign": -1}}}),
-    "inches, which constants absorb": ("ur10", 0.1, scaled(1 / 0.0254, *XYZ), {}, "lengths in inches",
+    "inches, which constants absorb": ("three", 0.3, scaled(1 / 0.0254, *XYZ), {}, "lengths in inches",
                                        {"units": {"length": "in"}}),
     "a rail in inches": ("arid", 0.3, scaled(1 / 0.0254, "joint_1"), {}, "joint_1 in inches",
                          {"units": {"columns": {"joint_1": "in"}}}),
@@ -148,7 +148,7 @@ TRUE: dict[str, tuple[str, float, Callable[[robots.Truth], pd.DataFrame], dict[s
         "three", 2e-3, lambda t: at_two_places(t).assign(station=["a"] * 60 + ["b"] * 60),
         {"frames": {"world_base": {"per": "station"}}},
     ),
-    "only the frames are sought": ("ur10", 5e-3, robots.table, {"parameters": {"set": "none"}}),
+    "only the frames are sought": ("three", 5e-3, robots.table, {"parameters": {"set": "none"}}),
 }  # fmt: skip
 
 
