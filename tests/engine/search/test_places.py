@@ -18,9 +18,6 @@ from aridcal.engine.search import diagnose
 from aridcal.engine.search.places import has_scatter, with_scatter
 from aridcal.engine.search.state import solve_state
 
-SMOOTH = ["joint_gain", "joint_harmonic", "joint_map"]
-"""In the joints, as what places share is."""
-
 PLACES, EACH, APART, FINE, ALIKE = 30, 3, 4e-3, 2e-5, 1.5e-4
 
 
@@ -43,7 +40,7 @@ def identified(folder: Path, each: int = EACH, **diagnosis: object) -> Searched:
 
 
 def test_a_clean_arm_whose_instrument_errs_alike_at_a_place_has_no_effect(tmp_path):
-    found = identified(tmp_path, candidates=[*SMOOTH, "shift"])
+    found = identified(tmp_path)
     assert found.effects == ()
     assert found.verdict != "structure_remains"
 
@@ -51,7 +48,8 @@ def test_a_clean_arm_whose_instrument_errs_alike_at_a_place_has_no_effect(tmp_pa
 def test_of_more_rows_than_are_searched_those_that_are_have_the_places(tmp_path, monkeypatch):
     """The attack: rows beyond those that are searched, whose places are numbered otherwise."""
     monkeypatch.setattr(diagnose, "MOST_SEARCHED_ROWS", 300)  # thousands cost half a minute
-    assert identified(tmp_path, each=13, candidates=SMOOTH).effects == ()
+    kinds = ["joint_gain", "joint_harmonic", "joint_map"]  # smooth in the joints, as what places share is
+    assert identified(tmp_path, each=13, candidates=kinds).effects == ()
 
 
 def test_the_size_of_the_scatter_is_the_likeliest_of_dense_covariances():
