@@ -17,10 +17,11 @@ from aridcal.files.campaign import Campaign
 from aridcal.files.counting import counting
 from aridcal.files.orientations import column_of
 from aridcal.jobs.guide.accuracy import DRAWS, Beside, bound
+from aridcal.jobs.guide.early_rows import Weighed, is_young, weighed
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop, Why
 from aridcal.jobs.guide.growing_table import GrowingTable
 from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, beside_others, verdict
-from aridcal.jobs.guide.movement import Moved, moved
+from aridcal.jobs.guide.movement import SURE, Moved, moved
 from aridcal.jobs.guide.next_pose import (
     PLACES,
     Pool,
@@ -113,6 +114,7 @@ class Session:
         suspect: Line of a row that is off, to be settled by the next one.
         slips: Line of the first row after each slip, and the frames that may have moved.
         off: Lines of rows that are off for no reason that they show themselves.
+        called_off: Those of them that were taken for good until later rows showed otherwise.
         stopped: True after the end.
         fitted_rows: Rows of the last fit.
     """
@@ -137,6 +139,7 @@ class Session:
     suspect: int | None = None
     slips: tuple[tuple[int, tuple[str, ...]], ...] = ()
     off: set[int] = field(default_factory=set)
+    called_off: set[int] = field(default_factory=set)
     proposed: np.ndarray | None = None
     drawn_with: bool = False
     stopped: bool = False
@@ -206,7 +209,7 @@ class Session:
         if not judged.off:
             self._add(F, r, judged)
             return []
-        if self._begun_wrong(k):
+        if self._begun_wrong(k) or self._is_unsure(at):
             return []
         line = self.table.line(k)
         for words, other in in_other_units(rows, at) if self._places else ():
@@ -261,13 +264,35 @@ class Session:
         self.good = good | dict.fromkeys([*used, k], True)
         self.posterior = None
         self._begin(0)
-        if self.posterior is not None:
-            F, r = self._columns(self._in_use())
-            if beside_others(self.posterior, F, r, self.inflation).min() > FALSE_ALARM:
-                self.off -= {*used, k}
-                return True
+        at = int(np.flatnonzero(self.read.index == k)[0])
+        if self.posterior is not None and self._weighed([]).spoiling(FALSE_ALARM) != at:
+            self.off -= {*used, k}
+            return True
         self.posterior, self.fitted_rows, self.good = before, rows_of_fit, good
         return False
+
+    @property
+    def _young(self) -> bool:
+        """Whether rows are so few that a bad one hides."""
+        assert self.posterior is not None
+        return is_young(self.posterior, sum(self.good.values()) * self._numbers)
+
+    def _weighed(self, more: Sequence[int]) -> Weighed:
+        """Leave each row in use out in turn, and some more; rows by their numbers among those read."""
+        assert self.posterior is not None
+        used = self._in_use()
+        rows = np.union1d(used, np.array(more, dtype=int))
+        answer = weighed(self.posterior, np.isin(rows, used), *self._columns(rows))
+        return replace(answer, rows=rows[answer.rows])
+
+    def _is_unsure(self, at: int) -> bool:
+        """Whether a row that is off among few may be good, and another bad: the rows to come tell. It is then in use."""
+        if not self._young or self._weighed([at]).spoiling(FALSE_ALARM) == at:
+            return False
+        assert self.posterior is not None
+        F, r = self._columns(np.array([at]))
+        self.posterior = self.posterior.with_rows(F, r)
+        return True
 
     def _add(self, F: np.ndarray, r: np.ndarray, judged: Verdict) -> None:
         """Let a good row count."""
@@ -350,6 +375,8 @@ class Session:
         if not found:
             return []
         best = max(found, key=lambda one: one.odds)
+        if self._young and best.odds < SURE + float(np.max(self._weighed(judged).gain, initial=0.0)):
+            return []  # one bad row explains it as well
         return self._slip(best, rows, at)
 
     def _slip(self, best: Moved, rows: Dataset, at: int) -> list[Event]:
@@ -455,28 +482,15 @@ class Session:
     def _belated(self, new: set[int]) -> list[Event]:
         """Rows that turn out bad beside those after them, and rows that turn out good."""
         assert self.posterior is not None
-        used = self._in_use()
-        places = np.setdiff1d(np.flatnonzero(self._knows()), used)
         events: list[Event] = []
+        worst = self._spoiling(self._in_use())
+        while worst is not None:
+            events += self._called_off(worst)
+            worst = None if self.posterior is None else self._spoiling(self._in_use())
+        if self.posterior is None:
+            return events
         changed = False
-        F, r = self._columns(used)
-        probability = beside_others(self.posterior, F, r, self.inflation)
-        worst = int(np.argmin(probability)) if len(used) else 0
-        if len(used) and probability[worst] < BELATED:
-            k = int(self.read.index[used[worst]])
-            line = self.table.line(k)
-            self.good[k] = False
-            self.off.add(k)
-            changed = True
-            events.append(
-                Alarm(
-                    line,
-                    "outlier",
-                    f"row {line} does not agree with the rows after it",
-                    f"it is left out; measure row {line} again",
-                )
-            )
-        for j in places.tolist():
+        for j in np.setdiff1d(np.flatnonzero(self._knows()), self._in_use()).tolist():
             k = int(self.read.index[j])
             if k in self.off and k not in new:
                 F, r = self._columns(np.array([j]))
@@ -486,6 +500,54 @@ class Session:
         if changed:
             self._fit()
         return events
+
+    def _spoiling(self, used: np.ndarray) -> int | None:
+        """The row in use that does not fit all others, by its number; None if there is no such row."""
+        assert self.posterior is not None
+        if not len(used):
+            return None
+        if self._young:
+            return self._weighed([]).spoiling(BELATED)
+        probability = beside_others(self.posterior, *self._columns(used), self.inflation)
+        worst = int(np.argmin(probability))
+        return int(used[worst]) if probability[worst] < BELATED else None
+
+    def _called_off(self, at: int) -> list[Event]:
+        """Go on without a row that spoils the rest: while rows are few, all others are judged again as if it had never been."""
+        k = int(self.read.index[at])
+        young = self._young
+        line = self.table.line(k)
+        words = f"row {line} does not fit the rest"
+        do = f"measure row {line} again, or delete it: it is left out"
+        told = Alarm(line, "outlier", words, do)
+        self.called_off.add(k)
+        if not young:
+            self.good[k] = False
+            self.off.add(k)
+            self._fit()
+            return [told, RowRead(line, False, (words,))]
+        before, slips = dict(self.good), self.slips
+        fixed = {k} | {j for j, good in before.items() if not good and j not in self.off}
+        self.good, self.off, self.slips = {}, set(), ()
+        self.posterior, self.inflation, self.beside = None, Inflation(), Beside()
+        self.suspect = None
+        events: list[Event] = []
+        for j in before:
+            if j in fixed or j in self.called_off:
+                self.good[j] = False
+            else:
+                events += self._row(j)
+        self.off |= self.called_off
+        if self.posterior is not None:
+            self._fit()
+        events = [e for e in events if isinstance(e, Alarm) and e.what == "slip"]
+        known = {self.table.line(first) for first, _ in slips}
+        again = [
+            RowRead(self.table.line(j), good, () if good else (words,) if j == k else ("it does not fit the rest",))
+            for j, good in self.good.items()
+            if good != before[j]
+        ]
+        return [told, *again, *(e for e in events if e.row not in known)]
 
     # -- what is known, and what is next --------------------------------------------------------------------------------------
 
