@@ -562,7 +562,8 @@ class Session:
         covariance = self.inflation.variance * self.posterior.covariance
         off = left_out(self.posterior)
         position = bound(moves[:, :3], covariance, beyond, off)
-        rotation = bound(moves[:, 3:], covariance, np.zeros(DRAWS), off)
+        turns = self.campaign.measurements.traits.oriented
+        rotation = bound(moves[:, 3:], covariance, np.zeros(DRAWS), off) if turns else np.inf
         return Known(
             count, position, rotation, self._more(count, position, bound(moves[:, :3], 0.0 * covariance, beyond))
         )
