@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ from aridcal.jobs.guide.movement import SURE, Moved, moved
 from aridcal.jobs.guide.next_pose import (
     PLACES,
     Pool,
+    AHEAD,
+    ahead,
     best_first,
     drawn,
     gain_ahead,
@@ -34,7 +36,7 @@ from aridcal.jobs.guide.next_pose import (
     told_by,
     worth,
 )
-from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by, with_suspects
+from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, inverse, moved_by, with_suspects
 from aridcal.jobs.guide.row_reading import RowsSoFar, no_rows, rows_so_far
 from aridcal.jobs.guide.shown_effects import left_out
 from aridcal.jobs.guide.table_facts import Oddity, in_other_units, not_renewed, oddities, refusal
@@ -59,6 +61,9 @@ POOL_LASTS = 10
 
 HARDLY = 0.05
 """Share by which ten more rows must make the target better known to be worth their time."""
+
+FORESEEN = 300
+"""Rows beyond which nobody plans a day: how many more these are is not said."""
 
 FORGETS = 0.95
 """Share of what earlier errors of prediction count for, a row: some twenty rows say how far off predictions are now."""
@@ -375,8 +380,10 @@ class Session:
         if not found:
             return []
         best = max(found, key=lambda one: one.odds)
-        if self._young and best.odds < SURE + float(np.max(self._weighed(judged).gain, initial=0.0)):
-            return []  # one bad row explains it as well
+        if self._young:
+            rivals = self._weighed(judged)
+            if best.gain < SURE + float(np.max(rivals.gain[rivals.rows < best.first], initial=0.0)):
+                return []  # one bad row before explains it as well
         return self._slip(best, rows, at)
 
     def _slip(self, best: Moved, rows: Dataset, at: int) -> list[Event]:
@@ -551,29 +558,58 @@ class Session:
 
     # -- what is known, and what is next --------------------------------------------------------------------------------------
 
-    def known(self) -> Known:
-        """How well the target is known now."""
+    def known(self, coming: np.ndarray | None = None) -> Known:
+        """How well the target is known now.
+
+        Args:
+            coming: Information that the next rows bring, :data:`AHEAD` of them, shape (D, D); None: how many more it takes is
+                not said.
+        """
         count = sum(self.good.values())
         if self.posterior is None:
             return Known(count, np.inf, np.inf)
         moves = region_columns(self.posterior, self.region)
-        rng = np.random.default_rng(0)
-        beyond = self.beside.drawn(DRAWS, rng)
-        covariance = self.inflation.variance * self.posterior.covariance
+        beyond = self.beside.drawn(DRAWS, np.random.default_rng(0))
         off = left_out(self.posterior)
-        position = bound(moves[:, :3], covariance, beyond, off)
+
+        def position(covariance: np.ndarray, share: float) -> float:
+            return bound(moves[:, :3], self.inflation.variance * covariance, beyond, share * off)
+
+        covariance = self.posterior.covariance
         turns = self.campaign.measurements.traits.oriented
-        rotation = bound(moves[:, 3:], covariance, np.zeros(DRAWS), off) if turns else np.inf
-        return Known(
-            count, position, rotation, self._more(count, position, bound(moves[:, :3], 0.0 * covariance, beyond))
+        now = position(covariance, 1.0)
+        rotation = (
+            bound(moves[:, 3:], self.inflation.variance * covariance, np.zeros(DRAWS), off) if turns else np.inf
         )
 
-    def _more(self, count: int, position: float, floor: float) -> int | None:
-        """Rows that the tolerance takes beside those so far, if variances go on to fall as one over their number."""
-        if self.tolerance is None or floor >= self.tolerance:
+        def later(n: int) -> float:
+            assert self.posterior is not None and coming is not None
+            then = inverse(self.posterior.information + n / AHEAD * coming)
+            shares = [np.einsum("rid,de,rie->", moves[:, :3], of, moves[:, :3], optimize=True) for of in (then, covariance)]
+            return position(then, float(np.sqrt(shares[0] / shares[1])))
+
+        more = None if coming is None or self.suspect is not None else self._more(now, later)
+        return Known(count, now, rotation, more)
+
+    def _more(self, now: float, later: Callable[[int], float]) -> int | None:
+        """Rows that the tolerance takes beside those so far, if they tell as much as the next ones do; None if more than
+        :data:`FORESEEN`, or before predictions were tried.
+
+        Args:
+            now: What is kept within now, [m].
+            later: The same after so many rows more.
+        """
+        if self.tolerance is None or self.beside.numbers < FEWEST_BESIDE:
             return None
-        share = (position**2 - floor**2) / (self.tolerance**2 - floor**2)
-        return max(0, int(np.ceil(count * (share - 1.0))))
+        if now <= self.tolerance:
+            return 0
+        if later(FORESEEN) > self.tolerance:
+            return None
+        fewest, most = 0, FORESEEN
+        while most - fewest > 1 + fewest // 10:
+            middle = (fewest + most) // 2
+            fewest, most = (fewest, middle) if later(middle) <= self.tolerance else (middle, most)
+        return most
 
     def here(self) -> np.ndarray | None:
         """Readings of the last row, shape (columns,)."""
@@ -582,20 +618,19 @@ class Session:
 
     def _ahead(self) -> list[Event]:
         """What is known, and what comes next, or that it is enough."""
-        events: list[Event] = []
-        known = self.known()
-        if self.posterior is not None:
-            events.append(known)
         now = self._now()
         if now is None:
-            return [*events, self._anywhere()]
+            return [self._anywhere()]
         some = self._pool(now)
-        if self.posterior is not None and self.suspect is None:
-            enough = self._enough(known, some)
-            if enough:
-                self.stopped = True
-                return [*events, Stop(*enough, known, self.checks())]
-        return [*events, self._next(now, some)]
+        if self.posterior is None:
+            return [self._next(now, some)]
+        coming = ahead(some, self.posterior)
+        known = self.known(coming)
+        enough = self._enough(known, gain_ahead(some, self.posterior, coming)) if self.suspect is None else None
+        if enough:
+            self.stopped = True
+            return [known, Stop(*enough, known, self.checks())]
+        return [known, self._next(now, some)]
 
     def _anywhere(self) -> Next:
         """What to measure while nobody knows where anything is: the user's own choice of pose."""
@@ -605,8 +640,8 @@ class Session:
             "three poses turned about all axes and far apart; poses are proposed once rows tell where the points are",
         )
 
-    def _enough(self, known: Known, some: Pool) -> tuple[Why, str] | None:
-        """Why it is enough, if it is."""
+    def _enough(self, known: Known, gain: float) -> tuple[Why, str] | None:
+        """Why it is enough, if it is; ``gain`` is what ten more rows bring, see :func:`gain_ahead`."""
         told = self.beside.numbers >= FEWEST_BESIDE
         if self.tolerance is not None and told and known.position <= self.tolerance:
             return "tolerance", (
@@ -614,12 +649,11 @@ class Session:
                 f"{1e3 * self.tolerance:.3g} mm"
             )
         reachable = self.tolerance is not None and known.more is not None
-        assert self.posterior is not None
-        if told and not reachable and gain_ahead(some, self.posterior) < HARDLY:
+        if told and not reachable and gain < HARDLY:
             beyond = (
                 ""
                 if self.tolerance is None
-                else f"; what is beyond the model keeps it above {1e3 * self.tolerance:.3g} mm"
+                else f"; {1e3 * self.tolerance:.3g} mm would take more than {FORESEEN} rows more, if it can be had at all"
             )
             return "nothing to gain", (
                 f"ten more rows would make the target less than {100 * HARDLY:.0f} % better known: it is within "
