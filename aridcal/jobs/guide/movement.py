@@ -34,15 +34,13 @@ class Moved:
     Attributes:
         first: Number of the first row after it, among those looked at.
         frames: Those that may have: one, or several that the rows do not tell apart.
-        odds: Logarithm of the odds against all other explanations by these rows.
-        gain: Logarithm of how much likelier it is than that nothing happened.
+        odds: Logarithm of the odds against all other explanations.
         size: By how much, of :data:`SIZES`, [m] and [rad].
     """
 
     first: int
     frames: tuple[str, ...]
     odds: float
-    gain: float
     size: float
 
 
@@ -81,7 +79,7 @@ def moved(
     if odds < SURE:
         return None
     frames = sorted((name for name, value in of_frame.items() if value > best - SURE), key=lambda n: -of_frame[n])
-    return Moved(first, tuple(frames), odds, best - nothing, max(SIZES[int(np.argmax(of_sizes[name]))] for name in frames))
+    return Moved(first, tuple(frames), odds, max(SIZES[int(np.argmax(of_sizes[name]))] for name in frames))
 
 
 def log_density(e: np.ndarray, S: np.ndarray) -> float:

@@ -287,8 +287,19 @@ class Session:
         assert self.posterior is not None
         used = self._in_use()
         rows = np.union1d(used, np.array(more, dtype=int))
-        answer = weighed(self.posterior, np.isin(rows, used), *self._columns(rows))
-        return replace(answer, rows=rows[answer.rows])
+        answer = weighed(self.posterior, np.isin(rows, used), *self._columns(rows), self._frames())
+        moves = tuple(replace(move, first=int(rows[move.first])) for move in answer.moves)
+        return replace(answer, rows=rows[answer.rows], moves=moves)
+
+    def _frames(self) -> dict[str, np.ndarray]:
+        """Columns of each frame that can move, at most six."""
+        assert self.posterior is not None
+        names, things = self.posterior.setup.model.names, self.posterior.things
+        columns_of = {
+            where: [things + names.index(f"{where}.{c}") for c in FRAME_COMPONENTS if f"{where}.{c}" in names]
+            for where in MOUNTING_FRAMES
+        }
+        return {where: np.array(some) for where, some in columns_of.items() if some}
 
     def _is_unsure(self, at: int) -> bool:
         """Whether a row that is off among few may be good, and another bad: the rows to come tell. It is then in use."""
@@ -349,12 +360,14 @@ class Session:
     def _moved(self, at: int, rows: Dataset) -> list[Event]:
         """Look whether a frame moved within the last rows."""
         assert self.posterior is not None
-        setup, things = self.posterior.setup, self.posterior.things
+        if self._young:
+            recent = self.off - self.called_off
+            early = self._weighed([j for j in range(max(0, at - WINDOW + 1), at + 1) if int(self.read.index[j]) in recent]).moved()
+            return self._slip(early, rows, at) if early else []
         judged = [j for j in range(max(0, at - WINDOW + 1), at + 1) if self._judges(int(self.read.index[j]))]
         judged = [j for j, known in zip(judged, self._knows()[judged], strict=True) if known]
         if len(judged) < 2 or all(self.good[int(self.read.index[j])] for j in judged):
             return []
-        names = setup.model.names
         F, r = self._columns(np.array(judged))
         found: list[Moved] = []
         before = self.posterior
@@ -369,21 +382,13 @@ class Session:
             residual = np.concatenate([row[part] for row, part in zip(r[first:], parts, strict=True)])
             error = residual - flat @ before.step
             spread = self.inflation.variance * (np.eye(len(error)) + flat @ before.covariance @ flat.T)
-            by_frame = {}
-            for where in MOUNTING_FRAMES:
-                some = [things + names.index(f"{where}.{c}") for c in FRAME_COMPONENTS if f"{where}.{c}" in names]
-                if some:
-                    by_frame[where] = flat[:, some]
+            by_frame = {where: flat[:, some] for where, some in self._frames().items()}
             split = np.split(error, np.cumsum([int(part.sum()) for part in parts])[:-1])
             answer = moved(split, spread, by_frame, judged[first])
             found += [answer] if answer else []
         if not found:
             return []
         best = max(found, key=lambda one: one.odds)
-        if self._young:
-            rivals = self._weighed(judged)
-            if best.gain < SURE + float(np.max(rivals.gain[rivals.rows < best.first], initial=0.0)):
-                return []  # one bad row before explains it as well
         return self._slip(best, rows, at)
 
     def _slip(self, best: Moved, rows: Dataset, at: int) -> list[Event]:
