@@ -269,6 +269,7 @@ def _delivered(folder: Path, one: Cell, now: Session) -> float:
     return float(np.quantile(np.linalg.norm(p - one.truth(), axis=1), 0.95))
 
 
+VERBOSE = False
 FAULTS = ("target", "tripod", "stale", "unit", "bad")
 
 
@@ -327,6 +328,7 @@ def _fault(folder: Path, arm: str, kind: str, fault: str, seed: int) -> tuple[in
             now.table.add(head)
         events = now.taken(now.table.add(line))
         alarms += [(n, event) for event in events if isinstance(event, Alarm)]
+    if VERBOSE: print("   ", [(n, a.row - 1, a.what) for n, a in alarms], "D", now.posterior and len(now.posterior.information), "inflation", round(now.inflation.variance, 2))
     late = [alarm for n, alarm in alarms if at <= n <= at + 2]
     return (
         int(bool(late)),
