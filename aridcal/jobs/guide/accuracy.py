@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,40 +15,45 @@ AXES = 3
 """Work: Of a place."""
 
 
+STEPS = np.geomspace(1e-6, 3e-2, 120)
+"""[m] Work: Standard deviations that are weighed: from what no instrument sees to what nobody would calibrate."""
+
+
 @dataclass(frozen=True)
 class Beside:
-    """Errors of rows as those before predicted them, beyond noise and what was open: what the model lacks.
+    r"""Errors of rows as those before predicted them, beyond noise and what was open: what the model lacks.
+
+    With :math:`e_i` the error along an axis, :math:`v_i` its variance by noise and prediction and t the standard deviation of
+    what is beyond, :math:`e_i \sim N(0, v_i + t^2)`: an early row, predicted poorly, says little of t, a late one much. No
+    order of size is likelier beforehand than another.
 
     Attributes:
-        squares: Sum of squares along the axes, [m²].
-        allowed: Sum of the variances of noise and prediction.
+        log_density: Of the errors, for each of :data:`STEPS`, shape (steps,).
         numbers: Their number.
     """
 
-    squares: float = 0.0
-    allowed: float = 0.0
+    log_density: np.ndarray = field(default_factory=lambda: np.zeros(len(STEPS)))
     numbers: float = 0.0
 
     def with_row(self, error: np.ndarray, variance: np.ndarray, kept: float) -> Beside:
-        """With one more row, older ones counting less: these were predicted by a poorer model.
+        """With one more row.
 
         Args:
             error: [m] along each axis.
             variance: Of each, noise included.
             kept: Share of what was before that still counts.
         """
-        return Beside(
-            kept * self.squares + float(error @ error),
-            kept * self.allowed + float(variance.sum()),
-            kept * self.numbers + len(error),
-        )
+        wide = variance + STEPS[:, None] ** 2
+        density = -0.5 * np.sum(np.log(wide / variance) + error**2 / wide - error**2 / variance, axis=1)
+        return Beside(kept * self.log_density + density, kept * self.numbers + len(error))
 
     def drawn(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Standard deviation along an axis that these allow, drawn at random, shape (count,), [m]."""
         if self.numbers < AXES:
             return np.zeros(count)
-        squares = self.squares / rng.chisquare(self.numbers, count)
-        return np.sqrt(np.maximum(squares - self.allowed / self.numbers, 0.0))
+        density = np.exp(self.log_density - self.log_density.max())
+        mass = np.cumsum(density)
+        return STEPS[np.searchsorted(mass, rng.random(count) * mass[-1])]
 
 
 def bound(columns: np.ndarray, covariance: np.ndarray, beyond: np.ndarray, off: np.ndarray | None = None) -> float:

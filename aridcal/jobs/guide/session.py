@@ -65,8 +65,9 @@ HARDLY = 0.05
 FORESEEN = 300
 """Rows beyond which nobody plans a day: how many more these are is not said."""
 
-FORGETS = 0.95
-"""Share of what earlier errors of prediction count for, a row: some twenty rows say how far off predictions are now."""
+FORGETS = 0.99
+"""Share of what earlier errors of prediction count for, a row: some hundred rows say how far off predictions are now. With
+twenty, what nobody saw kept what is known above the tolerance for half as many rows again."""
 
 FEWEST_BESIDE = 12.0
 """Numbers predicted without which nothing is said to be within a tolerance."""
