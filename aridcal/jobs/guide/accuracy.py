@@ -14,9 +14,12 @@ DRAWS = 200
 AXES = 3
 """Work: Of a place."""
 
+FORGETS = 0.99
+"""Share of what earlier errors of prediction count for, a row: some hundred rows say how far off predictions are now. With
+twenty, what nobody saw kept what is known above the tolerance for half as many rows again."""
 
 STEPS = np.geomspace(1e-6, 3e-2, 120)
-"""[m] Work: Standard deviations that are weighed: from what no instrument sees to what nobody would calibrate."""
+"""Work: [m], standard deviations that are weighed: from what no instrument sees to what nobody would calibrate."""
 
 
 @dataclass(frozen=True)
@@ -30,22 +33,32 @@ class Beside:
     Attributes:
         log_density: Of the errors, for each of :data:`STEPS`, shape (steps,).
         numbers: Their number.
+        variance: Of the last row's errors by noise and prediction, [m²].
     """
 
     log_density: np.ndarray = field(default_factory=lambda: np.zeros(len(STEPS)))
     numbers: float = 0.0
+    variance: float = 0.0
 
-    def with_row(self, error: np.ndarray, variance: np.ndarray, kept: float) -> Beside:
+    def with_row(self, error: np.ndarray, variance: np.ndarray) -> Beside:
         """With one more row.
 
         Args:
             error: [m] along each axis.
             variance: Of each, noise included.
-            kept: Share of what was before that still counts.
         """
-        wide = variance + STEPS[:, None] ** 2
-        density = -0.5 * np.sum(np.log(wide / variance) + error**2 / wide - error**2 / variance, axis=1)
-        return Beside(kept * self.log_density + density, kept * self.numbers + len(error))
+        density = np.sum(_log_density(error**2, variance), axis=1)
+        numbers = FORGETS * self.numbers + len(error)
+        return Beside(FORGETS * self.log_density + density, numbers, float(np.mean(variance)))
+
+    def after(self, rows: int) -> Beside:
+        """As it will be after so many rows more, if what is beyond the model is as large as seems likeliest now."""
+        mass = np.cumsum(np.exp(self.log_density - self.log_density.max()))
+        likely = STEPS[np.searchsorted(mass, 0.5 * mass[-1])]
+        kept = FORGETS**rows
+        more = AXES * (1.0 - kept) / (1.0 - FORGETS)
+        density = more * _log_density(np.array([self.variance + likely**2]), np.array([self.variance]))[:, 0]
+        return Beside(kept * self.log_density + density, kept * self.numbers + more, self.variance)
 
     def drawn(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Standard deviation along an axis that these allow, drawn at random, shape (count,), [m]."""
@@ -54,6 +67,12 @@ class Beside:
         density = np.exp(self.log_density - self.log_density.max())
         mass = np.cumsum(density)
         return STEPS[np.searchsorted(mass, rng.random(count) * mass[-1])]
+
+
+def _log_density(squares: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Of errors with some squares, for each of :data:`STEPS`, less that for nothing beyond, shape (steps, errors)."""
+    wide = variance + STEPS[:, None] ** 2
+    return np.asarray(-0.5 * (np.log(wide / variance) + squares / wide - squares / variance))
 
 
 def bound(columns: np.ndarray, covariance: np.ndarray, beyond: np.ndarray, off: np.ndarray | None = None) -> float:

@@ -62,12 +62,8 @@ POOL_LASTS = 10
 HARDLY = 0.05
 """Share by which ten more rows must make the target better known to be worth their time."""
 
-FORESEEN = 300
-"""Rows beyond which nobody plans a day: how many more these are is not said."""
-
-FORGETS = 0.99
-"""Share of what earlier errors of prediction count for, a row: some hundred rows say how far off predictions are now. With
-twenty, what nobody saw kept what is known above the tolerance for half as many rows again."""
+FORESEEN = 100
+"""Rows beyond which it is not said how many more the tolerance takes: so far ahead it was seen to be wrong by factors."""
 
 FEWEST_BESIDE = 12.0
 """Numbers predicted without which nothing is said to be within a tolerance."""
@@ -317,7 +313,7 @@ class Session:
         self.inflation = self.inflation.with_row(judged)
         off = self._off(F, judged)
         if off is not None:
-            self.beside = self.beside.with_row(*off, FORGETS)
+            self.beside = self.beside.with_row(*off)
         self.posterior = self.posterior.with_rows(F, r)
 
     @property
@@ -575,15 +571,15 @@ class Session:
         if self.posterior is None:
             return Known(count, np.inf, np.inf)
         moves = region_columns(self.posterior, self.region)
-        beyond = self.beside.drawn(DRAWS, np.random.default_rng(0))
         off = left_out(self.posterior)
 
-        def position(covariance: np.ndarray, share: float) -> float:
+        def position(covariance: np.ndarray, beside: Beside, share: float) -> float:
+            beyond = beside.drawn(DRAWS, np.random.default_rng(0))
             return bound(moves[:, :3], self.inflation.variance * covariance, beyond, share * off)
 
         covariance = self.posterior.covariance
         turns = self.campaign.measurements.traits.oriented
-        now = position(covariance, 1.0)
+        now = position(covariance, self.beside, 1.0)
         rotation = (
             bound(moves[:, 3:], self.inflation.variance * covariance, np.zeros(DRAWS), off) if turns else np.inf
         )
@@ -592,7 +588,7 @@ class Session:
             assert self.posterior is not None and coming is not None
             then = inverse(self.posterior.information + n / AHEAD * coming)
             shares = [np.einsum("rid,de,rie->", moves[:, :3], of, moves[:, :3], optimize=True) for of in (then, covariance)]
-            return position(then, float(np.sqrt(shares[0] / shares[1])))
+            return position(then, self.beside.after(n), float(np.sqrt(shares[0] / shares[1])))
 
         more = None if coming is None or self.suspect is not None else self._more(now, later)
         return Known(count, now, rotation, more)
