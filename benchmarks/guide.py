@@ -269,7 +269,6 @@ def _delivered(folder: Path, one: Cell, now: Session) -> float:
     return float(np.quantile(np.linalg.norm(p - one.truth(), axis=1), 0.95))
 
 
-VERBOSE = False
 FAULTS = ("target", "tripod", "stale", "unit", "bad")
 
 
@@ -328,7 +327,6 @@ def _fault(folder: Path, arm: str, kind: str, fault: str, seed: int) -> tuple[in
             now.table.add(head)
         events = now.taken(now.table.add(line))
         alarms += [(n, event) for event in events if isinstance(event, Alarm)]
-    if VERBOSE: print("   ", [(n, a.row - 1, a.what) for n, a in alarms], "D", now.posterior and len(now.posterior.information), "inflation", round(now.inflation.variance, 2))
     late = [alarm for n, alarm in alarms if at <= n <= at + 2]
     return (
         int(bool(late)),
@@ -360,9 +358,11 @@ EARLY, LAST_EARLY = 10, 22
 
 def early(draws: int) -> None:
     """A bad row at each of the first ten places, and none: the row told, and after how many; alarms of good rows; the end."""
-    print("arm     kind      bad row told  rows later: median, most  alarms of good rows  slips  error over clean: median, most")
+    print(
+        "arm     kind      bad row told  rows later: median, most  alarms of good rows  slips  error over clean: median, most"
+    )
     good, alarms_of_good = 0, 0
-    for arm in ARID:
+    for arm in (*ARID, "UR10"):
         for kind in NOISE:
             clean: dict[int, float] = {}
             for place in range(EARLY + 1):

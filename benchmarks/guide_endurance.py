@@ -27,8 +27,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from aridcal.jobs.guide.events import RowRead
 from endurance import ENVIRONMENT, MEGA, simulated
+
+from aridcal.jobs.guide.events import RowRead
 
 BATCH, SINGLE = 250, 10
 """Rows appended at once in the long run, and rows appended one by one after them."""
@@ -272,7 +273,10 @@ def long(n: int) -> bool:
         seconds = time.perf_counter() - begun
         took += [seconds] if len(new) == 1 else []
         if (done + len(new)) % 1000 == 0:
-            print(f"{done + len(new)} rows: {_resident('self') / MEGA:.0f} MB, the last {len(new)} took {seconds:.1f} s", flush=True)
+            print(
+                f"{done + len(new)} rows: {_resident('self') / MEGA:.0f} MB, the last {len(new)} took {seconds:.1f} s",
+                flush=True,
+            )
         at_half = at_half or (_resident("self") if done + len(new) >= n // 2 else 0.0)
     grown = _resident("self") / at_half
     well = told >= n + SINGLE and grown < GROWS

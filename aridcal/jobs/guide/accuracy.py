@@ -14,9 +14,9 @@ DRAWS = 200
 AXES = 3
 """Work: Of a place."""
 
-FORGETS = 0.99
-"""Share of what earlier errors of prediction count for, a row: some hundred rows say how far off predictions are now. With
-twenty, what nobody saw kept what is known above the tolerance for half as many rows again."""
+FORGETS = 0.97
+"""Share of what earlier errors of prediction count for, a row: some thirty rows say how far off predictions are now. What a model
+lacks shows more and more, as it is known better."""
 
 STEPS = np.geomspace(1e-6, 3e-2, 120)
 """Work: [m], standard deviations that are weighed: from what no instrument sees to what nobody would calibrate."""

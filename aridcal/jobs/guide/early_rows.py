@@ -175,7 +175,9 @@ def weighed(
         error = (y[k] - G[k] @ estimate[h, :D])[part]
         spread = np.eye(len(error)) + G[k][part] @ V[h, :D, :D] @ G[k][part].T
         spread *= max(1.0, (nu + q[h]) / (nu + n[h]))
-        gain[h] += log_mean([log_density(error, spread + by**2 * np.eye(len(error))) for by in BAD_SIZES]) + np.log(IS_BAD)
+        gain[h] += log_mean([log_density(error, spread + by**2 * np.eye(len(error))) for by in BAD_SIZES]) + np.log(
+            IS_BAD
+        )
         square = float(error @ np.linalg.solve(spread, error))
         if square > CLEARLY**2 * len(error):
             probability[h - 1] = float(exceeded(square, len(error), nu + float(n[h])))
@@ -216,9 +218,7 @@ def _likely_moves(
         values, vectors = np.linalg.eigh(U)
         values = np.maximum(values, 0.0)
         along = np.einsum("fij,fi->fj", vectors, pull[:, some]) ** 2
-        gains = [
-            0.5 * np.sum(along * d**2 / (1.0 + d**2 * values) - np.log1p(d**2 * values), axis=1) for d in SIZES
-        ]
+        gains = [0.5 * np.sum(along * d**2 / (1.0 + d**2 * values) - np.log1p(d**2 * values), axis=1) for d in SIZES]
         best = np.argsort(-np.max(gains, axis=0))[:MOVES_TRIED]
         likely += [(frame, int(firsts[k])) for k in best.tolist()]
     return likely

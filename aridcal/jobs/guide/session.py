@@ -21,11 +21,11 @@ from aridcal.jobs.guide.early_rows import Weighed, is_young, weighed
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop, Why
 from aridcal.jobs.guide.growing_table import GrowingTable
 from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, beside_others, verdict
-from aridcal.jobs.guide.movement import SURE, Moved, moved
+from aridcal.jobs.guide.movement import Moved, moved
 from aridcal.jobs.guide.next_pose import (
+    AHEAD,
     PLACES,
     Pool,
-    AHEAD,
     ahead,
     best_first,
     drawn,
@@ -358,8 +358,9 @@ class Session:
         """Look whether a frame moved within the last rows."""
         assert self.posterior is not None
         if self._young:
-            recent = self.off - self.called_off
-            early = self._weighed([j for j in range(max(0, at - WINDOW + 1), at + 1) if int(self.read.index[j]) in recent]).moved()
+            off = self.off - self.called_off
+            recent = [j for j in range(max(0, at - WINDOW + 1), at + 1) if int(self.read.index[j]) in off]
+            early = self._weighed(recent).moved()
             return self._slip(early, rows, at) if early else []
         judged = [j for j in range(max(0, at - WINDOW + 1), at + 1) if self._judges(int(self.read.index[j]))]
         judged = [j for j, known in zip(judged, self._knows()[judged], strict=True) if known]
@@ -522,41 +523,46 @@ class Session:
         return int(used[worst]) if probability[worst] < BELATED else None
 
     def _called_off(self, at: int) -> list[Event]:
-        """Go on without a row that spoils the rest: while rows are few, all others are judged again as if it had never been."""
+        """Go on without a row that does not fit the rest."""
         k = int(self.read.index[at])
-        young = self._young
         line = self.table.line(k)
         words = f"row {line} does not fit the rest"
-        do = f"measure row {line} again, or delete it: it is left out"
-        told = Alarm(line, "outlier", words, do)
+        alarm = Alarm(line, "outlier", words, f"measure row {line} again, or delete it: it is left out")
+        young, before, slips = self._young, dict(self.good), self.slips
         self.called_off.add(k)
+        self.off.add(k)
+        self.good[k] = False
         if not young:
-            self.good[k] = False
-            self.off.add(k)
             self._fit()
-            return [told, RowRead(line, False, (words,))]
-        before, slips = dict(self.good), self.slips
-        fixed = {k} | {j for j, good in before.items() if not good and j not in self.off}
-        self.good, self.off, self.slips = {}, set(), ()
+            return [alarm, RowRead(line, False, (words,))]
+        moved = self._judged_anew(before)
+        again = [
+            RowRead(self.table.line(j), good, () if good else (words if j == k else "it does not fit the rest",))
+            for j, good in self.good.items()
+            if good != before[j]
+        ]
+        known = {self.table.line(first) for first, _ in slips}
+        return [alarm, *again, *(slip for slip in moved if slip.row not in known)]
+
+    def _judged_anew(self, before: Mapping[int, bool]) -> list[Alarm]:
+        """Judge all rows again, one after another, as if those that were called off had never been; slips that this tells.
+
+        Args:
+            before: Which lines were in use: the others, but for those that were off beside other rows, stay out of it.
+        """
+        refused = {j for j, good in before.items() if not good and j not in self.off} | self.called_off
+        self.good, self.off, self.slips, self.suspect = {}, set(), (), None
         self.posterior, self.inflation, self.beside = None, Inflation(), Beside()
-        self.suspect = None
         events: list[Event] = []
         for j in before:
-            if j in fixed or j in self.called_off:
+            if j in refused:
                 self.good[j] = False
             else:
                 events += self._row(j)
         self.off |= self.called_off
         if self.posterior is not None:
             self._fit()
-        events = [e for e in events if isinstance(e, Alarm) and e.what == "slip"]
-        known = {self.table.line(first) for first, _ in slips}
-        again = [
-            RowRead(self.table.line(j), good, () if good else (words,) if j == k else ("it does not fit the rest",))
-            for j, good in self.good.items()
-            if good != before[j]
-        ]
-        return [told, *again, *(e for e in events if e.row not in known)]
+        return [event for event in events if isinstance(event, Alarm) and event.what == "slip"]
 
     # -- what is known, and what is next --------------------------------------------------------------------------------------
 
@@ -580,22 +586,23 @@ class Session:
         covariance = self.posterior.covariance
         turns = self.campaign.measurements.traits.oriented
         now = position(covariance, self.beside, 1.0)
-        rotation = (
-            bound(moves[:, 3:], self.inflation.variance * covariance, np.zeros(DRAWS), off) if turns else np.inf
-        )
+        rotation = bound(moves[:, 3:], self.inflation.variance * covariance, np.zeros(DRAWS), off) if turns else np.inf
 
         def later(n: int) -> float:
             assert self.posterior is not None and coming is not None
             then = inverse(self.posterior.information + n / AHEAD * coming)
-            shares = [np.einsum("rid,de,rie->", moves[:, :3], of, moves[:, :3], optimize=True) for of in (then, covariance)]
+            shares = [
+                np.einsum("rid,de,rie->", moves[:, :3], of, moves[:, :3], optimize=True) for of in (then, covariance)
+            ]
             return position(then, self.beside.after(n), float(np.sqrt(shares[0] / shares[1])))
 
         more = None if coming is None or self.suspect is not None else self._more(now, later)
         return Known(count, now, rotation, more)
 
     def _more(self, now: float, later: Callable[[int], float]) -> int | None:
-        """Rows that the tolerance takes beside those so far, if they tell as much as the next ones do; None if more than
-        :data:`FORESEEN`, or before predictions were tried.
+        """Rows that the tolerance takes beside those so far, if they tell as much as the next ones do.
+
+        None if these are more than :data:`FORESEEN`, or before predictions were tried.
 
         Args:
             now: What is kept within now, [m].
