@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln
 
-from aridcal.jobs.guide.judgement import CLEARLY, PREDICTED_WEIGHT, exceeded, left_out_squares
+from aridcal.jobs.guide.judgement import CLEARLY, exceeded, left_out_squares
 from aridcal.jobs.guide.movement import BAD_SIZES, IS_BAD, MOVES, SIZES, SURE, Moved, log_density, log_mean
 from aridcal.jobs.guide.posterior import PRIOR_WEIGHT, Posterior, groups
 
@@ -29,6 +29,10 @@ thirds of its error at the least."""
 TRIED, MOVES_TRIED = 12, 4
 """Work: Rows that are left out in turn, those that fit worst, and moves of frames that explain most: what spoils the rest is
 among them."""
+
+SCATTER_WEIGHT = 6.0
+"""Numbers for which the noise as it is taken to be counts where scatter is integrated out: as many as a pose has. What a model
+lacks makes all rows worse alike, and among few rows that must not pass for some that are bad."""
 
 ROUNDS = 5
 """Work: Of the sizes; the last ones change them by some per cent."""
@@ -161,7 +165,7 @@ def weighed(
             told = PRIOR_WEIGHT + np.sum(np.maximum(1.0 - V[:, some, some] * size[:, some], 0.0), axis=1)
             size[:, some] = (told / (PRIOR_WEIGHT + np.sum(estimate[:, some] ** 2, axis=1)))[:, None]
     q = np.maximum(yy - np.einsum("hd,hd->h", g, estimate), 0.0)
-    nu = PREDICTED_WEIGHT
+    nu = SCATTER_WEIGHT
     before = _diagonals(size)
     before[:, :D, :D] += rest
     log_p = 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(M)[1])
