@@ -357,7 +357,8 @@ class Session:
     def _moved(self, at: int, rows: Dataset) -> list[Event]:
         """Look whether a frame moved within the last rows."""
         assert self.posterior is not None
-        if self._young:
+        # Not of touches: things whose places nobody knows give way like frames, and clean rows had a slip in 45.
+        if self._young and self._places:
             off = self.off - self.called_off
             recent = [j for j in range(max(0, at - WINDOW + 1), at + 1) if int(self.read.index[j]) in off]
             early = self._weighed(recent).moved()
