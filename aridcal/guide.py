@@ -124,9 +124,8 @@ def in_words(event: Event) -> Text:
             return Text(f"  {what.upper()}: {words}\n  do: {do}", style="bold")
         case Known():
             more = "" if event.more is None else f", about {event.more} more for the tolerance"
-            return Text(
-                f"  {event.rows} rows: within {1e3 * event.position:.3g} mm, {1e3 * event.rotation:.3g} mrad{more}"
-            )
+            turn = f", {1e3 * event.rotation:.3g} mrad" if event.rotation < float("inf") else ""
+            return Text(f"  {event.rows} rows: within {1e3 * event.position:.3g} mm{turn}{more}")
         case Next():
             joints = ", ".join(f"{name} {value:g}" for name, value in {**event.joints}.items())
             measure = "".join(f", {name} {label}" for name, label in event.labels.items())

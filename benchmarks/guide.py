@@ -3,6 +3,7 @@
     python benchmarks/guide.py              # all of it, a few draws: minutes
     python benchmarks/guide.py rows 50      # rows until twice the floor is kept, over random ones and over one plan
     python benchmarks/guide.py faults 50    # faults put in: told within two rows; alarms without a fault
+    python benchmarks/guide.py early 10     # a bad row at each of the first ten places
     python benchmarks/guide.py time         # seconds a row, up to 1,000 rows of a UR10
 
 A draw is a machine: each constant off by 1 mm or 1 mrad, a harmonic of 0.2 mrad in each gear, frames anywhere. The floor is
@@ -33,7 +34,7 @@ from aridcal.files.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.job_inputs import read_job
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.jobs.guide.events import Alarm, Next, Stop
+from aridcal.jobs.guide.events import Alarm, Event, Next, Stop
 from aridcal.jobs.guide.posterior import Posterior
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.plan.configurations import draw_candidates
@@ -101,6 +102,7 @@ ARMS: dict[str, Callable[[], tuple[str, str]]] = {
     "SCARA": lambda: (SCARA, "tool"),
     "gantry": lambda: (GANTRY, "tool"),
 }
+ARID = {"arid": lambda: ((TOP / "urdf" / "arid.urdf").read_text(), "flange")}
 NOISE = {"pose": {"position": 5e-5, "rotation": 1e-4}, "position": {"position": 5e-5}}
 
 
@@ -139,7 +141,7 @@ class Cell:
 def cell(folder: Path, arm: str, kind: str, seed: int) -> Cell:
     """Draw a machine."""
     rng = np.random.default_rng([seed, 7])
-    text, tip = ARMS[arm]()
+    text, tip = (ARMS | ARID)[arm]()
     (folder / "arm.urdf").write_text(text)
     keys: dict[str, Any] = {
         "format": 1,
@@ -306,10 +308,7 @@ def _fault(folder: Path, arm: str, kind: str, fault: str, seed: int) -> tuple[in
     last = b""
     for n in range(1, at + 3):
         if not isinstance(events[-1], Next):
-            now.stopped = False
-            known = now._now()
-            assert known is not None  # poses and positions need no things
-            events = [now._next(known, now._pool(known))]
+            events = _gone_on(now)
         if n == at and fault in ("target", "tripod"):
             model = one.arm.model
             frames = model.tip_target if fault == "target" else model.world_base
@@ -354,6 +353,68 @@ def _spoilt(line: bytes, last: bytes, fault: str, one: Cell, rng: np.random.Gene
     return ",".join(cells).encode()
 
 
+EARLY, LAST_EARLY = 10, 22
+
+
+def early(draws: int) -> None:
+    """A bad row at each of the first ten places, and none: the row told, and after how many; alarms of good rows; the end."""
+    print(
+        "arm     kind      bad row told  rows later: median, most  alarms of good rows  slips  error over clean: median, most"
+    )
+    good, alarms_of_good = 0, 0
+    for arm in (*ARID, "UR10"):
+        for kind in NOISE:
+            clean: dict[int, float] = {}
+            for place in range(EARLY + 1):
+                later, false, slips, ratio = [], 0, 0, []
+                for seed in range(draws):
+                    with tempfile.TemporaryDirectory() as name:
+                        at, wrong, moved, error = _early(Path(name), arm, kind, seed, place)
+                    clean[seed] = error if not place else clean[seed]
+                    later += [] if at is None else [at - place]
+                    false, slips = false + wrong, slips + moved
+                    ratio.append(error / clean[seed])
+                    if not place:
+                        good, alarms_of_good = good + LAST_EARLY, alarms_of_good + wrong
+                late = f"{np.median(later):4.0f} {max(later):4d}" if later else "   -    -"
+                print(
+                    f"{arm:7s} {kind:9s} {place or 'none':>7}  {len(later):3d}/{draws} {late} {false:10d} {slips:5d} "
+                    f"{np.median(ratio):8.2f} {max(ratio):8.2f}",
+                    flush=True,
+                )
+    print(f"{alarms_of_good} alarms in {good} rows of campaigns without a bad one")
+
+
+def _early(folder: Path, arm: str, kind: str, seed: int, place: int) -> tuple[int | None, int, int, float]:
+    """One draw: the row at which the bad one was told, alarms of others, slips in the end, and the true error, [m]."""
+    one = cell(folder, arm, kind, seed)
+    rng = np.random.default_rng([seed, 11, place])
+    now = session(one.campaign, one.arm.simulation.robot, None)
+    events = now.taken([])
+    told, false = None, 0
+    for n in range(1, LAST_EARLY + 1):
+        events = events if isinstance(events[-1], Next) else _gone_on(now)
+        assert isinstance(events[-1], Next)
+        head, line = one.line(of(events[-1]))
+        line = _spoilt(line, b"", "bad", one, rng) if n == place else line
+        if not now.table.head:
+            now.table.add(head)
+        events = now.taken(now.table.add(line))
+        for alarm in events:
+            if isinstance(alarm, Alarm):
+                told = told or (n if alarm.row == place + 1 else None)
+                false += alarm.row != place + 1
+    return told, false, len(now.slips), np.inf if now.posterior is None else one.error(now.posterior)
+
+
+def _gone_on(now: Session) -> list[Event]:
+    """The next pose of a campaign that goes on although it is enough."""
+    now.stopped = False
+    known = now._now()
+    assert known is not None  # poses and positions need no things
+    return [now._next(known, now._pool(known))]
+
+
 def seconds() -> None:
     """Seconds a row of a UR10 with a thousand poses."""
     with tempfile.TemporaryDirectory() as name:
@@ -385,6 +446,8 @@ def main() -> None:
             rows(draws)
         if what in ("faults", "all"):
             faults(draws)
+        if what in ("early", "all"):
+            early(draws)
         if what in ("time", "all"):
             seconds()
 

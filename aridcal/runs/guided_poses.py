@@ -75,8 +75,8 @@ class Guided:
 
     @property
     def rows(self) -> list[RowRead]:
-        """Each row that was read, and whether it is good."""
-        return [event for event in self.events if isinstance(event, RowRead)]
+        """Each row that was read, and whether it is good by now."""
+        return [*{event.row: event for event in self.events if isinstance(event, RowRead)}.values()]
 
     @property
     def known(self) -> Known | None:

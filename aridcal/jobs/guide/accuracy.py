@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,41 +14,65 @@ DRAWS = 200
 AXES = 3
 """Work: Of a place."""
 
+FORGETS = 0.97
+"""Share of what earlier errors of prediction count for, a row: some thirty rows say how far off predictions are now. What a model
+lacks shows more and more, as it is known better."""
+
+STEPS = np.geomspace(1e-6, 3e-2, 120)
+"""Work: [m], standard deviations that are weighed: from what no instrument sees to what nobody would calibrate."""
+
 
 @dataclass(frozen=True)
 class Beside:
-    """Errors of rows as those before predicted them, beyond noise and what was open: what the model lacks.
+    r"""Errors of rows as those before predicted them, beyond noise and what was open: what the model lacks.
+
+    With :math:`e_i` the error along an axis, :math:`v_i` its variance by noise and prediction and t the standard deviation of
+    what is beyond, :math:`e_i \sim N(0, v_i + t^2)`: an early row, predicted poorly, says little of t, a late one much. No
+    order of size is likelier beforehand than another.
 
     Attributes:
-        squares: Sum of squares along the axes, [m²].
-        allowed: Sum of the variances of noise and prediction.
+        log_density: Of the errors, for each of :data:`STEPS`, shape (steps,).
         numbers: Their number.
+        variance: Of the last row's errors by noise and prediction, [m²].
     """
 
-    squares: float = 0.0
-    allowed: float = 0.0
+    log_density: np.ndarray = field(default_factory=lambda: np.zeros(len(STEPS)))
     numbers: float = 0.0
+    variance: float = 0.0
 
-    def with_row(self, error: np.ndarray, variance: np.ndarray, kept: float) -> Beside:
-        """With one more row, older ones counting less: these were predicted by a poorer model.
+    def with_row(self, error: np.ndarray, variance: np.ndarray) -> Beside:
+        """With one more row.
 
         Args:
             error: [m] along each axis.
             variance: Of each, noise included.
-            kept: Share of what was before that still counts.
         """
-        return Beside(
-            kept * self.squares + float(error @ error),
-            kept * self.allowed + float(variance.sum()),
-            kept * self.numbers + len(error),
-        )
+        density = np.sum(_log_density(error**2, variance), axis=1)
+        numbers = FORGETS * self.numbers + len(error)
+        return Beside(FORGETS * self.log_density + density, numbers, float(np.mean(variance)))
+
+    def after(self, rows: int) -> Beside:
+        """As it will be after so many rows more, if what is beyond the model is as large as seems likeliest now."""
+        mass = np.cumsum(np.exp(self.log_density - self.log_density.max()))
+        likely = STEPS[np.searchsorted(mass, 0.5 * mass[-1])]
+        kept = FORGETS**rows
+        more = AXES * (1.0 - kept) / (1.0 - FORGETS)
+        density = more * _log_density(np.array([self.variance + likely**2]), np.array([self.variance]))[:, 0]
+        return Beside(kept * self.log_density + density, kept * self.numbers + more, self.variance)
 
     def drawn(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Standard deviation along an axis that these allow, drawn at random, shape (count,), [m]."""
         if self.numbers < AXES:
             return np.zeros(count)
-        squares = self.squares / rng.chisquare(self.numbers, count)
-        return np.sqrt(np.maximum(squares - self.allowed / self.numbers, 0.0))
+        density = np.exp(self.log_density - self.log_density.max())
+        mass = np.cumsum(density)
+        return STEPS[np.searchsorted(mass, rng.random(count) * mass[-1])]
+
+
+def _log_density(squares: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Of errors with some squares, for each of :data:`STEPS`, less that for nothing beyond, shape (steps, errors)."""
+    wide = variance + STEPS[:, None] ** 2
+    return np.asarray(-0.5 * (np.log(wide / variance) + squares / wide - squares / variance))
 
 
 def bound(columns: np.ndarray, covariance: np.ndarray, beyond: np.ndarray, off: np.ndarray | None = None) -> float:

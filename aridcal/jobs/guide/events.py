@@ -60,7 +60,7 @@ class Known:
     Attributes:
         rows: Rows in use.
         position: What 95 % of the region keep within with 95 % confidence, [m]; infinite while nothing can be said.
-        rotation: The same of the turn, [rad].
+        rotation: The same of the turn, [rad]; infinite where rows do not tell how the target is turned.
         more: Rows that the tolerance still takes, if they go on as now; None where nobody can say, or none was given.
     """
 

@@ -104,14 +104,19 @@ def beside_others(posterior: Posterior, F: np.ndarray, r: np.ndarray, inflation:
         r: Their residuals, shape (N, m).
         inflation: See :class:`Inflation`.
     """
+    square = left_out_squares(posterior, F, r) / inflation.variance
+    count = np.any(F != 0.0, axis=2).sum(axis=1)
+    count = np.maximum(count, 1)
+    probability = exceeded(square, count, PREDICTED_WEIGHT + inflation.numbers)
+    return np.where(np.sqrt(square / count) > CLEARLY, probability, 1.0)
+
+
+def left_out_squares(posterior: Posterior, F: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """chi² of each row beside all others, shape (N,); see :func:`beside_others`."""
     own = np.einsum("nid,de,nje->nij", F, posterior.covariance, F, optimize=True)
     error = r - F @ posterior.step
     inner = np.eye(F.shape[1]) - own
     # chi² of a row that is left out: e' (1 - H)^-1 e, as e / (1 - H) has the covariance 1 / (1 - H)
     values, vectors = np.linalg.eigh(inner)
     along = np.einsum("nij,ni->nj", vectors, error)
-    square = np.sum(along**2 / np.maximum(values, 1e-9), axis=1) / inflation.variance
-    count = np.any(F != 0.0, axis=2).sum(axis=1)
-    count = np.maximum(count, 1)
-    probability = exceeded(square, count, PREDICTED_WEIGHT + inflation.numbers)
-    return np.where(np.sqrt(square / count) > CLEARLY, probability, 1.0)
+    return np.asarray(np.sum(along**2 / np.maximum(values, 1e-9), axis=1))

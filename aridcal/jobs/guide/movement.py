@@ -57,23 +57,23 @@ def moved(
     """
     e = np.concatenate(errors)
     ends = np.cumsum([0, *map(len, errors)])
-    nothing = _log_density(e, spread)
+    nothing = log_density(e, spread)
     every = range(len(errors))
     bad = []
     for rows in dict.fromkeys([*combinations(every, 1), *combinations(every, 2), tuple(every)]):
         which = np.zeros(len(e))
         for k in rows:
             which[ends[k] : ends[k + 1]] = 1.0
-        densities = [_log_density(e, spread + np.diag(size**2 * which)) for size in BAD_SIZES]
-        bad.append(_mean(densities) + len(rows) * float(np.log(IS_BAD)))
+        densities = [log_density(e, spread + np.diag(size**2 * which)) for size in BAD_SIZES]
+        bad.append(log_mean(densities) + len(rows) * float(np.log(IS_BAD)))
     of_sizes = {
-        name: [_log_density(e, spread + size**2 * G @ G.T) for size in SIZES]
+        name: [log_density(e, spread + size**2 * G @ G.T) for size in SIZES]
         for name, G in by_frame.items()
         if np.any(G)
     }
     if not of_sizes:
         return None
-    of_frame = {name: _mean(densities) + float(np.log(MOVES)) for name, densities in of_sizes.items()}
+    of_frame = {name: log_mean(densities) + float(np.log(MOVES)) for name, densities in of_sizes.items()}
     best = max(of_frame.values())
     odds = best - max(nothing, *bad)
     if odds < SURE:
@@ -82,14 +82,14 @@ def moved(
     return Moved(first, tuple(frames), odds, max(SIZES[int(np.argmax(of_sizes[name]))] for name in frames))
 
 
-def _log_density(e: np.ndarray, S: np.ndarray) -> float:
+def log_density(e: np.ndarray, S: np.ndarray) -> float:
     """Logarithm of the normal density of e with covariance S, but for a constant."""
     root = np.linalg.cholesky(S)
     scaled = np.linalg.solve(root, e)
     return float(-0.5 * scaled @ scaled - np.log(np.diag(root)).sum())
 
 
-def _mean(values: Sequence[float]) -> float:
+def log_mean(values: Sequence[float]) -> float:
     """Logarithm of the mean of what these are the logarithms of."""
     array = np.array(values)
     top = array.max()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.jobs.guide.posterior import Posterior, configurations
+from aridcal.jobs.guide.posterior import Posterior, configurations, inverse
 from aridcal.jobs.plan.configurations import Candidates, allowed, ends
 from aridcal.jobs.plan.information import CandidateInformation, stack_by_candidate, target_columns, whitened
 from aridcal.jobs.plan.row_exchange import RowChoice, gain_of_rows, rms_sigma, updated
@@ -129,15 +129,22 @@ def reaches(posterior: Posterior, here: np.ndarray, there: np.ndarray, pattern: 
     return bool(allowed(setup, way, np.full(len(way), pattern)).all())
 
 
-def gain_ahead(some: Pool, posterior: Posterior) -> float:
-    """Share by which the target's sigma becomes smaller with the next rows, :data:`AHEAD` of them, each the best."""
+def ahead(some: Pool, posterior: Posterior) -> np.ndarray:
+    """Information that the next rows bring, :data:`AHEAD` of them, each the best, shape (D, D)."""
     covariance, choice = posterior.covariance, some.choice
-    before = float(np.sum(covariance * choice.averaged))
     solved = np.zeros((choice.solved_for, choice.solved_for))
+    information = np.zeros_like(covariance)
     for _ in range(AHEAD):
         k = int(np.argmax(gain_of_rows(choice, choice.rows, covariance, solved, 1.0)))
         covariance = updated(covariance, choice.rows[k], 1.0)
-    after = float(np.sum(covariance * choice.averaged))
+        information += choice.rows[k].T @ choice.rows[k]
+    return information
+
+
+def gain_ahead(some: Pool, posterior: Posterior, information: np.ndarray) -> float:
+    """Share by which the target's sigma becomes smaller with the next rows, whose information is given, shape (D, D)."""
+    before = float(np.sum(posterior.covariance * some.choice.averaged))
+    after = float(np.sum(inverse(posterior.information + information) * some.choice.averaged))
     return 1.0 - float(np.sqrt(max(after, 0.0) / max(before, np.finfo(float).tiny)))
 
 

@@ -316,16 +316,20 @@ def _sizes(base: np.ndarray, setup: PlanSetup, theta: np.ndarray, variance: np.n
     theirs.
     """
     sizes = base.copy()
-    keys = [
-        "" if of_thing else _group(c)
-        for c, of_thing in zip(setup.model.coefficients, setup.model.at_things.tolist(), strict=True)
-    ]
+    keys = groups(setup.model)
     for key in dict.fromkeys(keys):
         if key:
             some = np.array([k for k, other in enumerate(keys) if other == key])
             squares = float(np.sum((theta[some] ** 2 + np.maximum(variance[some], 0.0)) / base[some] ** 2))
             sizes[some] *= np.sqrt((PRIOR_WEIGHT + squares) / (PRIOR_WEIGHT + len(some)))
     return sizes
+
+
+def groups(model: Model) -> list[str]:
+    """What each coefficient shares its size with; nothing of frames, of what is at things, and of what moved."""
+    return [
+        "" if of_thing else _group(c) for c, of_thing in zip(model.coefficients, model.at_things.tolist(), strict=True)
+    ]
 
 
 def _group(c: Coefficient) -> str:

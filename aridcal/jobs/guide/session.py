@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,13 +17,16 @@ from aridcal.files.campaign import Campaign
 from aridcal.files.counting import counting
 from aridcal.files.orientations import column_of
 from aridcal.jobs.guide.accuracy import DRAWS, Beside, bound
+from aridcal.jobs.guide.early_rows import Weighed, is_young, weighed
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop, Why
 from aridcal.jobs.guide.growing_table import GrowingTable
 from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, beside_others, verdict
 from aridcal.jobs.guide.movement import Moved, moved
 from aridcal.jobs.guide.next_pose import (
+    AHEAD,
     PLACES,
     Pool,
+    ahead,
     best_first,
     drawn,
     gain_ahead,
@@ -33,7 +36,7 @@ from aridcal.jobs.guide.next_pose import (
     told_by,
     worth,
 )
-from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, moved_by, with_suspects
+from aridcal.jobs.guide.posterior import Posterior, before_rows, begun, fitted, inverse, moved_by, with_suspects
 from aridcal.jobs.guide.row_reading import RowsSoFar, no_rows, rows_so_far
 from aridcal.jobs.guide.shown_effects import left_out
 from aridcal.jobs.guide.table_facts import Oddity, in_other_units, not_renewed, oddities, refusal
@@ -59,8 +62,8 @@ POOL_LASTS = 10
 HARDLY = 0.05
 """Share by which ten more rows must make the target better known to be worth their time."""
 
-FORGETS = 0.95
-"""Share of what earlier errors of prediction count for, a row: some twenty rows say how far off predictions are now."""
+FORESEEN = 100
+"""Rows beyond which it is not said how many more the tolerance takes: so far ahead it was seen to be wrong by factors."""
 
 FEWEST_BESIDE = 12.0
 """Numbers predicted without which nothing is said to be within a tolerance."""
@@ -113,6 +116,7 @@ class Session:
         suspect: Line of a row that is off, to be settled by the next one.
         slips: Line of the first row after each slip, and the frames that may have moved.
         off: Lines of rows that are off for no reason that they show themselves.
+        called_off: Those of them that were taken for good until later rows showed otherwise.
         stopped: True after the end.
         fitted_rows: Rows of the last fit.
     """
@@ -137,6 +141,7 @@ class Session:
     suspect: int | None = None
     slips: tuple[tuple[int, tuple[str, ...]], ...] = ()
     off: set[int] = field(default_factory=set)
+    called_off: set[int] = field(default_factory=set)
     proposed: np.ndarray | None = None
     drawn_with: bool = False
     stopped: bool = False
@@ -206,7 +211,7 @@ class Session:
         if not judged.off:
             self._add(F, r, judged)
             return []
-        if self._begun_wrong(k):
+        if self._begun_wrong(k) or self._is_unsure(at):
             return []
         line = self.table.line(k)
         for words, other in in_other_units(rows, at) if self._places else ():
@@ -261,13 +266,46 @@ class Session:
         self.good = good | dict.fromkeys([*used, k], True)
         self.posterior = None
         self._begin(0)
-        if self.posterior is not None:
-            F, r = self._columns(self._in_use())
-            if beside_others(self.posterior, F, r, self.inflation).min() > FALSE_ALARM:
-                self.off -= {*used, k}
-                return True
+        at = int(np.flatnonzero(self.read.index == k)[0])
+        if self.posterior is not None and self._weighed([]).spoiling(FALSE_ALARM) != at:
+            self.off -= {*used, k}
+            return True
         self.posterior, self.fitted_rows, self.good = before, rows_of_fit, good
         return False
+
+    @property
+    def _young(self) -> bool:
+        """Whether rows are so few that a bad one hides."""
+        assert self.posterior is not None
+        return is_young(self.posterior, sum(self.good.values()) * self._numbers)
+
+    def _weighed(self, more: Sequence[int]) -> Weighed:
+        """Leave each row in use out in turn, and some more; rows by their numbers among those read."""
+        assert self.posterior is not None
+        used = self._in_use()
+        rows = np.union1d(used, np.array(more, dtype=int))
+        answer = weighed(self.posterior, np.isin(rows, used), *self._columns(rows), self._frames())
+        moves = tuple(replace(move, first=int(rows[move.first])) for move in answer.moves)
+        return replace(answer, rows=rows[answer.rows], moves=moves)
+
+    def _frames(self) -> dict[str, np.ndarray]:
+        """Columns of each frame that can move, at most six."""
+        assert self.posterior is not None
+        names, things = self.posterior.setup.model.names, self.posterior.things
+        columns_of = {
+            where: [things + names.index(f"{where}.{c}") for c in FRAME_COMPONENTS if f"{where}.{c}" in names]
+            for where in MOUNTING_FRAMES
+        }
+        return {where: np.array(some) for where, some in columns_of.items() if some}
+
+    def _is_unsure(self, at: int) -> bool:
+        """Whether a row that is off among few may be good, and another bad: the rows to come tell. It is then in use."""
+        if not self._young or self._weighed([at]).spoiling(FALSE_ALARM) == at:
+            return False
+        assert self.posterior is not None
+        F, r = self._columns(np.array([at]))
+        self.posterior = self.posterior.with_rows(F, r)
+        return True
 
     def _add(self, F: np.ndarray, r: np.ndarray, judged: Verdict) -> None:
         """Let a good row count."""
@@ -275,7 +313,7 @@ class Session:
         self.inflation = self.inflation.with_row(judged)
         off = self._off(F, judged)
         if off is not None:
-            self.beside = self.beside.with_row(*off, FORGETS)
+            self.beside = self.beside.with_row(*off)
         self.posterior = self.posterior.with_rows(F, r)
 
     @property
@@ -319,12 +357,16 @@ class Session:
     def _moved(self, at: int, rows: Dataset) -> list[Event]:
         """Look whether a frame moved within the last rows."""
         assert self.posterior is not None
-        setup, things = self.posterior.setup, self.posterior.things
+        # Not of touches: things whose places nobody knows give way like frames, and clean rows had a slip in 45.
+        if self._young and self._places:
+            off = self.off - self.called_off
+            recent = [j for j in range(max(0, at - WINDOW + 1), at + 1) if int(self.read.index[j]) in off]
+            early = self._weighed(recent).moved()
+            return self._slip(early, rows, at) if early else []
         judged = [j for j in range(max(0, at - WINDOW + 1), at + 1) if self._judges(int(self.read.index[j]))]
         judged = [j for j, known in zip(judged, self._knows()[judged], strict=True) if known]
         if len(judged) < 2 or all(self.good[int(self.read.index[j])] for j in judged):
             return []
-        names = setup.model.names
         F, r = self._columns(np.array(judged))
         found: list[Moved] = []
         before = self.posterior
@@ -339,11 +381,7 @@ class Session:
             residual = np.concatenate([row[part] for row, part in zip(r[first:], parts, strict=True)])
             error = residual - flat @ before.step
             spread = self.inflation.variance * (np.eye(len(error)) + flat @ before.covariance @ flat.T)
-            by_frame = {}
-            for where in MOUNTING_FRAMES:
-                some = [things + names.index(f"{where}.{c}") for c in FRAME_COMPONENTS if f"{where}.{c}" in names]
-                if some:
-                    by_frame[where] = flat[:, some]
+            by_frame = {where: flat[:, some] for where, some in self._frames().items()}
             split = np.split(error, np.cumsum([int(part.sum()) for part in parts])[:-1])
             answer = moved(split, spread, by_frame, judged[first])
             found += [answer] if answer else []
@@ -455,28 +493,15 @@ class Session:
     def _belated(self, new: set[int]) -> list[Event]:
         """Rows that turn out bad beside those after them, and rows that turn out good."""
         assert self.posterior is not None
-        used = self._in_use()
-        places = np.setdiff1d(np.flatnonzero(self._knows()), used)
         events: list[Event] = []
+        worst = self._spoiling(self._in_use())
+        while worst is not None:
+            events += self._called_off(worst)
+            worst = None if self.posterior is None else self._spoiling(self._in_use())
+        if self.posterior is None:
+            return events
         changed = False
-        F, r = self._columns(used)
-        probability = beside_others(self.posterior, F, r, self.inflation)
-        worst = int(np.argmin(probability)) if len(used) else 0
-        if len(used) and probability[worst] < BELATED:
-            k = int(self.read.index[used[worst]])
-            line = self.table.line(k)
-            self.good[k] = False
-            self.off.add(k)
-            changed = True
-            events.append(
-                Alarm(
-                    line,
-                    "outlier",
-                    f"row {line} does not agree with the rows after it",
-                    f"it is left out; measure row {line} again",
-                )
-            )
-        for j in places.tolist():
+        for j in np.setdiff1d(np.flatnonzero(self._knows()), self._in_use()).tolist():
             k = int(self.read.index[j])
             if k in self.off and k not in new:
                 F, r = self._columns(np.array([j]))
@@ -487,30 +512,114 @@ class Session:
             self._fit()
         return events
 
+    def _spoiling(self, used: np.ndarray) -> int | None:
+        """The row in use that does not fit all others, by its number; None if there is no such row."""
+        assert self.posterior is not None
+        if not len(used):
+            return None
+        if self._young:
+            return self._weighed([]).spoiling(BELATED)
+        probability = beside_others(self.posterior, *self._columns(used), self.inflation)
+        worst = int(np.argmin(probability))
+        return int(used[worst]) if probability[worst] < BELATED else None
+
+    def _called_off(self, at: int) -> list[Event]:
+        """Go on without a row that does not fit the rest."""
+        k = int(self.read.index[at])
+        line = self.table.line(k)
+        words = f"row {line} does not fit the rest"
+        alarm = Alarm(line, "outlier", words, f"measure row {line} again, or delete it: it is left out")
+        young, before, slips = self._young, dict(self.good), self.slips
+        self.called_off.add(k)
+        self.off.add(k)
+        self.good[k] = False
+        if not young:
+            self._fit()
+            return [alarm, RowRead(line, False, (words,))]
+        moved = self._judged_anew(before)
+        again = [
+            RowRead(self.table.line(j), good, () if good else (words if j == k else "it does not fit the rest",))
+            for j, good in self.good.items()
+            if good != before[j]
+        ]
+        known = {self.table.line(first) for first, _ in slips}
+        return [alarm, *again, *(slip for slip in moved if slip.row not in known)]
+
+    def _judged_anew(self, before: Mapping[int, bool]) -> list[Alarm]:
+        """Judge all rows again, one after another, as if those that were called off had never been; slips that this tells.
+
+        Args:
+            before: Which lines were in use: the others, but for those that were off beside other rows, stay out of it.
+        """
+        refused = {j for j, good in before.items() if not good and j not in self.off} | self.called_off
+        self.good, self.off, self.slips, self.suspect = {}, set(), (), None
+        self.posterior, self.inflation, self.beside = None, Inflation(), Beside()
+        events: list[Event] = []
+        for j in before:
+            if j in refused:
+                self.good[j] = False
+            else:
+                events += self._row(j)
+        self.off |= self.called_off
+        if self.posterior is not None:
+            self._fit()
+        return [event for event in events if isinstance(event, Alarm) and event.what == "slip"]
+
     # -- what is known, and what is next --------------------------------------------------------------------------------------
 
-    def known(self) -> Known:
-        """How well the target is known now."""
+    def known(self, coming: np.ndarray | None = None) -> Known:
+        """How well the target is known now.
+
+        Args:
+            coming: Information that the next rows bring, :data:`AHEAD` of them, shape (D, D); None: how many more it takes is
+                not said.
+        """
         count = sum(self.good.values())
         if self.posterior is None:
             return Known(count, np.inf, np.inf)
         moves = region_columns(self.posterior, self.region)
-        rng = np.random.default_rng(0)
-        beyond = self.beside.drawn(DRAWS, rng)
-        covariance = self.inflation.variance * self.posterior.covariance
         off = left_out(self.posterior)
-        position = bound(moves[:, :3], covariance, beyond, off)
-        rotation = bound(moves[:, 3:], covariance, np.zeros(DRAWS), off)
-        return Known(
-            count, position, rotation, self._more(count, position, bound(moves[:, :3], 0.0 * covariance, beyond))
-        )
 
-    def _more(self, count: int, position: float, floor: float) -> int | None:
-        """Rows that the tolerance takes beside those so far, if variances go on to fall as one over their number."""
-        if self.tolerance is None or floor >= self.tolerance:
+        def position(covariance: np.ndarray, beside: Beside, share: float) -> float:
+            beyond = beside.drawn(DRAWS, np.random.default_rng(0))
+            return bound(moves[:, :3], self.inflation.variance * covariance, beyond, share * off)
+
+        covariance = self.posterior.covariance
+        turns = self.campaign.measurements.traits.oriented
+        now = position(covariance, self.beside, 1.0)
+        rotation = bound(moves[:, 3:], self.inflation.variance * covariance, np.zeros(DRAWS), off) if turns else np.inf
+
+        def later(n: int) -> float:
+            assert self.posterior is not None and coming is not None
+            then = inverse(self.posterior.information + n / AHEAD * coming)
+            shares = [
+                np.einsum("rid,de,rie->", moves[:, :3], of, moves[:, :3], optimize=True) for of in (then, covariance)
+            ]
+            return position(then, self.beside.after(n), float(np.sqrt(shares[0] / shares[1])))
+
+        more = None if coming is None or self.suspect is not None else self._more(now, later)
+        return Known(count, now, rotation, more)
+
+    def _more(self, now: float, later: Callable[[int], float]) -> int | None:
+        """Rows that the tolerance takes beside those so far, if they tell as much as the next ones do.
+
+        None if these are more than :data:`FORESEEN`, or before predictions were tried.
+
+        Args:
+            now: What is kept within now, [m].
+            later: The same after so many rows more.
+        """
+        if self.tolerance is None or self.beside.numbers < FEWEST_BESIDE:
             return None
-        share = (position**2 - floor**2) / (self.tolerance**2 - floor**2)
-        return max(0, int(np.ceil(count * (share - 1.0))))
+        if now <= self.tolerance:
+            return 0
+        if later(FORESEEN) > self.tolerance:
+            return None
+        fewest, most = 0, FORESEEN
+        while most - fewest > 1 + fewest // 10:
+            middle = (fewest + most) // 2
+            fewest, most = (fewest, middle) if later(middle) <= self.tolerance else (middle, most)
+        return most
 
     def here(self) -> np.ndarray | None:
         """Readings of the last row, shape (columns,)."""
@@ -519,20 +628,19 @@ class Session:
 
     def _ahead(self) -> list[Event]:
         """What is known, and what comes next, or that it is enough."""
-        events: list[Event] = []
-        known = self.known()
-        if self.posterior is not None:
-            events.append(known)
         now = self._now()
         if now is None:
-            return [*events, self._anywhere()]
+            return [self._anywhere()]
         some = self._pool(now)
-        if self.posterior is not None and self.suspect is None:
-            enough = self._enough(known, some)
-            if enough:
-                self.stopped = True
-                return [*events, Stop(*enough, known, self.checks())]
-        return [*events, self._next(now, some)]
+        if self.posterior is None:
+            return [self._next(now, some)]
+        coming = ahead(some, self.posterior)
+        known = self.known(coming)
+        enough = self._enough(known, gain_ahead(some, self.posterior, coming)) if self.suspect is None else None
+        if enough:
+            self.stopped = True
+            return [known, Stop(*enough, known, self.checks())]
+        return [known, self._next(now, some)]
 
     def _anywhere(self) -> Next:
         """What to measure while nobody knows where anything is: the user's own choice of pose."""
@@ -542,8 +650,8 @@ class Session:
             "three poses turned about all axes and far apart; poses are proposed once rows tell where the points are",
         )
 
-    def _enough(self, known: Known, some: Pool) -> tuple[Why, str] | None:
-        """Why it is enough, if it is."""
+    def _enough(self, known: Known, gain: float) -> tuple[Why, str] | None:
+        """Why it is enough, if it is; ``gain`` is what ten more rows bring, see :func:`gain_ahead`."""
         told = self.beside.numbers >= FEWEST_BESIDE
         if self.tolerance is not None and told and known.position <= self.tolerance:
             return "tolerance", (
@@ -551,12 +659,11 @@ class Session:
                 f"{1e3 * self.tolerance:.3g} mm"
             )
         reachable = self.tolerance is not None and known.more is not None
-        assert self.posterior is not None
-        if told and not reachable and gain_ahead(some, self.posterior) < HARDLY:
+        if told and not reachable and gain < HARDLY:
             beyond = (
                 ""
                 if self.tolerance is None
-                else f"; what is beyond the model keeps it above {1e3 * self.tolerance:.3g} mm"
+                else f"; {1e3 * self.tolerance:.3g} mm would take more than {FORESEEN} rows more, if it can be had at all"
             )
             return "nothing to gain", (
                 f"ten more rows would make the target less than {100 * HARDLY:.0f} % better known: it is within "

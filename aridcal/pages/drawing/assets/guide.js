@@ -60,8 +60,9 @@
     by("known").textContent = known ? `${digits(known.position_mm)} mm` : "?";
     const tolerance = state.tolerance_mm ? `; asked: ${digits(state.tolerance_mm)} mm` : "";
     const more = known && known.more ? `; about ${known.more} rows more` : "";
+    const turn = known && known.rotation_mrad !== null ? `${digits(known.rotation_mrad)} mrad, ` : "";
     by("known-more").textContent = known
-      ? `${digits(known.rotation_mrad)} mrad, after ${known.rows} rows, in 95 % of the region with 95 % confidence${tolerance}${more}`
+      ? `${turn}after ${known.rows} rows, in 95 % of the region with 95 % confidence${tolerance}${more}`
       : "three poses that differ are needed before anything can be said";
     const lately = alarm && row && (alarm.row >= row.row - 1 || (alarm.what === "slip" && alarm.row >= row.row - 3));
     by("alarm").hidden = !lately || Boolean(state.stop);
