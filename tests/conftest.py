@@ -66,13 +66,6 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-def pytest_runtest_teardown() -> None:
-    """Long work of the product thaws all that was frozen; a collection of everything takes 0.15 s here."""
-    if not gc.get_freeze_count():
-        gc.collect(1)
-        gc.freeze()
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files begin first: one that begins last would be waited for by all but one of the processes."""
     order = {f"test_{name}.py": k for k, name in enumerate(LONGEST)}

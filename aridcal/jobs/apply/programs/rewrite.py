@@ -41,6 +41,9 @@ from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import write_csv
 from aridcal.system.writing.whole_files import atomic_file, atomic_folder, claimed
 
+LONG_PROGRAM = 2_000
+"""Work: targets from which what was made of the text is worth looking for: a target takes some kB, and the look 20 ms."""
+
 
 @dataclass(frozen=True)
 class Request:
@@ -212,7 +215,8 @@ def _corrected(
     new = edit_texts(loaded.project, chain(corrections.changes(), marks))
     expected, notes, corrections = expected_targets(reading.targets), reading.notes, corrections.named(())
     del reading, targets, marks  # a long program has too many to keep them while the new text is read
-    gc.collect()  # of what was made of the text some parts hold each other
+    if count > LONG_PROGRAM:
+        gc.collect()  # of what was made of the text some parts hold each other
     give_back()
     texts = corrected(language, loaded.project, cell, expected, new)
     named = corrections.named([target for part in expected for target in part.named()])
