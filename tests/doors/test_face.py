@@ -373,6 +373,7 @@ def test_a_terminal_shows_the_progress(
     campaign: aridcal.Campaign, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
     aridcal.calibrate(campaign)
     assert "fitting frames and constants to" in capsys.readouterr().err
 

@@ -182,35 +182,33 @@ def _white(r: np.ndarray) -> np.ndarray:
 
 def _likeliest(x: np.ndarray) -> _Groups:
     """The two groups that make T largest, of sets of white rows, shape (B, n, k)."""
-    k = x.shape[2]
+    count, _, k = x.shape
     skew = np.einsum("bnk,bn->bk", x, np.sum(x**2, axis=2))
     skew /= np.maximum(np.linalg.norm(skew, axis=1, keepdims=True), TINY)
-    directions = [skew, *(np.broadcast_to(sign * axis, skew.shape) for axis in np.eye(k) for sign in (1.0, -1.0))]
-    best = _maximised(x, directions[0])
-    for direction in directions[1:]:
-        other = _maximised(x, direction)
-        better = other.T > best.T
-        best = _Groups(
-            np.where(better, other.T, best.T),
-            np.where(better, other.share, best.share),
-            np.where(better[:, None], other.chance, best.chance),
-        )
-    return best
+    axes = np.stack([np.eye(k), -np.eye(k)], axis=1).reshape(2 * k, k)
+    tries = _maximised(x, np.concatenate([skew[:, None], np.broadcast_to(axes, (count, 2 * k, k))], axis=1))
+    best = np.arange(count), np.argmax(tries.T, axis=1)
+    return _Groups(tries.T[best], tries.share[best], tries.chance[best])
 
 
-def _maximised(x: np.ndarray, direction: np.ndarray) -> _Groups:
-    """Expectation and maximisation from the rows farthest along a direction, shape (B, k)."""
-    y = np.einsum("bnk,bk->bn", x, direction)
-    chance = (y >= np.quantile(y, 1.0 - FIRST_SHARE, axis=1)[:, None]).astype(float)
+def _maximised(x: np.ndarray, directions: np.ndarray) -> _Groups:
+    """Expectation and maximisation from the rows farthest along each of D directions, shape (B, D, k); all results by (B, D)."""
+    across = x.transpose(0, 2, 1)
+    y = directions @ across
+    chance = (y >= np.quantile(y, 1.0 - FIRST_SHARE, axis=2)[..., None]).astype(float)
     for _ in range(EM_STEPS):
-        share = np.clip(chance.mean(axis=1), LEAST_SHARE, 1.0 - LEAST_SHARE)
+        share = np.clip(chance.mean(axis=2), LEAST_SHARE, 1.0 - LEAST_SHARE)
         product = share * (1.0 - share)
-        delta = np.einsum("bn,bnk->bk", chance, x) / (x.shape[1] * product)[:, None]
-        length = np.maximum(np.linalg.norm(delta, axis=1), TINY)
-        y = np.einsum("bnk,bk->bn", x, delta / length[:, None])
+        delta = chance @ x / (x.shape[1] * product)[..., None]
+        length = np.maximum(np.linalg.norm(delta, axis=2), TINY)
+        y = delta / length[..., None] @ across
         length = np.minimum(length, np.sqrt(MOST_EXPLAINED / product))
         v = 1.0 - product * length**2
-        odds = np.log(share / (1.0 - share))[:, None] + (length / v)[:, None] * (y - ((0.5 - share) * length)[:, None])
+        odds = np.log(share / (1.0 - share))[..., None] + (length / v)[..., None] * (
+            y - ((0.5 - share) * length)[..., None]
+        )
         chance = expit(odds)
-    others = np.log1p(-share)[:, None] - 0.5 * ((y + (share * length)[:, None]) ** 2 / v[:, None] + np.log(v)[:, None])
-    return _Groups(2.0 * np.sum(others + np.logaddexp(0.0, odds) + 0.5 * y**2, axis=1), share, chance)
+    others = np.log1p(-share)[..., None] - 0.5 * (
+        (y + (share * length)[..., None]) ** 2 / v[..., None] + np.log(v)[..., None]
+    )
+    return _Groups(2.0 * np.sum(others + np.logaddexp(0.0, odds) + 0.5 * y**2, axis=2), share, chance)

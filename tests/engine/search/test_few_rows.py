@@ -29,6 +29,7 @@ def test_few_rows_are_not_for_a_controller(
     rows: int, ready: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "300")
     path = campaign(tmp_path, rows)
     status = identify.main([str(path), "--tolerance", "50mm"])
