@@ -14,6 +14,9 @@ import pytest
 # A shell starts what runs in its background with interrupts ignored, and children would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# As the Makefile has it, for those who call pytest themselves: two workers with two threads each take twice as long.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 
 LONGEST = (
     "fleet",
