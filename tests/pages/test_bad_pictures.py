@@ -344,15 +344,15 @@ def test_a_mesh_that_kills_its_reader_costs_itself_alone_and_no_module_beside_it
     others = children()
 
     def kill() -> None:
-        until(lambda: opened(tmp_path / "endless.stl", ends))
-        os.kill(int(*set(children()).difference(others)), signal.SIGKILL)
+        until(lambda: len(children()) > len(others))
+        (reader,) = set(children()).difference(others)
+        until(lambda: waits(reader))
+        os.kill(int(reader), signal.SIGKILL)
 
-    ends: list[int] = []
     killer = threading.Thread(target=kill)
     killer.start()
     first, bad, last = read_meshes(paths).values()
     killer.join()
-    os.close(*ends)
     assert isinstance(bad, NotDrawable) and "its reader died of it" in str(bad)
     for sound in (first, last):
         assert not isinstance(sound, NotDrawable)
@@ -393,9 +393,12 @@ def test_a_reader_dies_with_the_command_that_started_it(tmp_path: Path) -> None:
     os.close(*ends)
 
 
-def opened(pipe: Path, ends: list[int]) -> bool:
-    """Whether a pipe can be opened for writing: once somebody reads it."""
-    ends.append(os.open(pipe, os.O_WRONLY | os.O_NONBLOCK))
+def waits(process: str) -> bool:
+    """Whether a process sleeps for half a second: it waits for what does not come."""
+    for _ in range(25):
+        if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "S":
+            return False
+        time.sleep(0.02)
     return True
 
 
