@@ -383,14 +383,12 @@ def test_a_reader_dies_with_the_command_that_started_it(tmp_path: Path) -> None:
         "meshes.FILE_SECONDS = 3600",  # by itself it would not end while we wait
         "meshes.read_meshes([Path(sys.argv[1])])",
     ])  # fmt: skip
-    ends: list[int] = []
-
     with subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "endless.stl")]) as command:
-        until(lambda: opened(tmp_path / "endless.stl", ends))
-        reader = Path(f"/proc/{int(Path(f'/proc/{command.pid}/task/{command.pid}/children').read_text())}")
+        begun = Path(f"/proc/{command.pid}/task/{command.pid}/children")
+        until(lambda: all(map(waits, begun.read_text().split() or ["none"])))
+        reader = Path(f"/proc/{int(begun.read_text())}")
         command.kill()
     until(lambda: not reader.exists() or "Z" in (reader / "stat").read_text().rpartition(")")[2])
-    os.close(*ends)
 
 
 def waits(process: str) -> bool:
