@@ -18,7 +18,7 @@ FORGETS = 0.97
 """Share of what earlier errors of prediction count for, a row: some thirty rows say how far off predictions are now. What a model
 lacks shows more and more, as it is known better."""
 
-STEPS = np.geomspace(1e-6, 3e-2, 120)
+SIGMAS_BEYOND = np.geomspace(1e-6, 3e-2, 120)
 """Work: [m], standard deviations that are weighed: from what no instrument sees to what nobody would calibrate."""
 
 
@@ -31,12 +31,12 @@ class Beside:
     order of size is likelier beforehand than another.
 
     Attributes:
-        log_density: Of the errors, for each of :data:`STEPS`, shape (steps,).
+        log_density: Of the errors, for each of :data:`SIGMAS_BEYOND`, shape (sigmas,).
         numbers: Their number.
         variance: Of the last row's errors by noise and prediction, [m²].
     """
 
-    log_density: np.ndarray = field(default_factory=lambda: np.zeros(len(STEPS)))
+    log_density: np.ndarray = field(default_factory=lambda: np.zeros(len(SIGMAS_BEYOND)))
     numbers: float = 0.0
     variance: float = 0.0
 
@@ -54,7 +54,7 @@ class Beside:
     def after(self, rows: int) -> Beside:
         """As it will be after so many rows more, if what is beyond the model is as large as seems likeliest now."""
         mass = np.cumsum(np.exp(self.log_density - self.log_density.max()))
-        likely = STEPS[np.searchsorted(mass, 0.5 * mass[-1])]
+        likely = SIGMAS_BEYOND[np.searchsorted(mass, 0.5 * mass[-1])]
         kept = FORGETS**rows
         more = AXES * (1.0 - kept) / (1.0 - FORGETS)
         density = more * _log_density(np.array([self.variance + likely**2]), np.array([self.variance]))[:, 0]
@@ -66,12 +66,12 @@ class Beside:
             return np.zeros(count)
         density = np.exp(self.log_density - self.log_density.max())
         mass = np.cumsum(density)
-        return STEPS[np.searchsorted(mass, rng.random(count) * mass[-1])]
+        return SIGMAS_BEYOND[np.searchsorted(mass, rng.random(count) * mass[-1])]
 
 
 def _log_density(squares: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Of errors with some squares, for each of :data:`STEPS`, less that for nothing beyond, shape (steps, errors)."""
-    wide = variance + STEPS[:, None] ** 2
+    """Of errors with some squares, for each of :data:`SIGMAS_BEYOND`, less that for nothing beyond, shape (sigmas, errors)."""
+    wide = variance + SIGMAS_BEYOND[:, None] ** 2
     return np.asarray(-0.5 * (np.log(wide / variance) + squares / wide - squares / variance))
 
 

@@ -12,17 +12,17 @@ each group for some coefficients), and their scatter is integrated out: :math:`p
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaln
 
 from aridcal.jobs.guide.judgement import CLEARLY, exceeded, left_out_squares
-from aridcal.jobs.guide.movement import BAD_SIZES, IS_BAD, MOVES, SIZES, SURE, Moved, log_density, log_mean
-from aridcal.jobs.guide.posterior import PRIOR_WEIGHT, Posterior, groups
+from aridcal.jobs.guide.movement import BAD_SIZES, IS_BAD, MOVES, SIZES, SURE, FrameMovement, log_density, log_mean
+from aridcal.jobs.guide.posterior import PRIOR_WEIGHT, Posterior, members
 
-YOUNG = 3.0
+NUMBERS_PER_UNKNOWN = 3.0
 """Times as many numbers as unknowns up to which a bad row may hide: with more, what is left of a row beside all others is two
 thirds of its error at the least."""
 
@@ -45,7 +45,7 @@ BEFORE, SINCE = 3, 2
 
 
 @dataclass(frozen=True)
-class Move:
+class SupposedMove:
     """A frame that may have moved.
 
     Attributes:
@@ -62,7 +62,7 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Weighed:
+class Suppositions:
     """What is said for and against suppositions.
 
     Attributes:
@@ -75,7 +75,7 @@ class Weighed:
     rows: np.ndarray
     gain: np.ndarray
     probability: np.ndarray
-    moves: tuple[Move, ...]
+    moves: tuple[SupposedMove, ...]
 
     def spoiling(self, level: float) -> int | None:
         """The row that is bad: likelier than that none is, another, or a move, by :data:`SURE`; None if there is no such row.
@@ -90,7 +90,7 @@ class Weighed:
         sure = self.gain[best] - max(rivals) > SURE and self.probability[best] < level
         return int(self.rows[best]) if sure else None
 
-    def moved(self) -> Moved | None:
+    def movement(self) -> FrameMovement | None:
         """The move that is likelier than that there is none, and than any bad row, by :data:`SURE`; None if there is none."""
         if not self.moves:
             return None
@@ -99,17 +99,53 @@ class Weighed:
         if odds < SURE:
             return None
         close = sorted((move for move in self.moves if move.gain > best.gain - SURE), key=lambda move: -move.gain)
-        return Moved(best.first, tuple(dict.fromkeys(move.frame for move in close)), odds, best.size)
+        return FrameMovement(best.first, tuple(dict.fromkeys(move.frame for move in close)), odds, best.size)
 
 
 def is_young(posterior: Posterior, numbers: int) -> bool:
     """Whether so many numbers measured are too few for a bad row to show by itself."""
-    return numbers < YOUNG * len(posterior.information)
+    return numbers < NUMBERS_PER_UNKNOWN * len(posterior.information)
 
 
-def weighed(
+@dataclass(frozen=True)
+class _Equations:
+    """Normal equations of H suppositions: nothing happened, one row is bad, one frame moved.
+
+    Unknowns are in units of what is expected of them.
+
+    Attributes:
+        information: Of D unknowns and the six numbers of what moved, without any prior on sizes, shape (H, D + 6, D + 6).
+        pull: Its right side, shape (H, D + 6).
+        squares: Of the rows that the supposition speaks of, shape (H,).
+        numbers: How many numbers these are, shape (H,).
+    """
+
+    information: np.ndarray
+    pull: np.ndarray
+    squares: np.ndarray
+    numbers: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Estimates:
+    """What each supposition makes of the unknowns, in the sizes that its rows suggest.
+
+    Attributes:
+        size: Inverse squares of the sizes, shape (H, D + 6).
+        information: With them, shape (H, D + 6, D + 6).
+        covariance: Its inverse.
+        value: Shape (H, D + 6).
+    """
+
+    size: np.ndarray
+    information: np.ndarray
+    covariance: np.ndarray
+    value: np.ndarray
+
+
+def weigh(
     posterior: Posterior, used: np.ndarray, F: np.ndarray, r: np.ndarray, frames: Mapping[str, np.ndarray]
-) -> Weighed:
+) -> Suppositions:
     """Leave rows out in turn, and let frames move.
 
     Args:
@@ -121,77 +157,145 @@ def weighed(
     """
     posterior = posterior.with_rows(F[~used], r[~used])
     setup, things, D = posterior.setup, posterior.things, F.shape[2]
-    # all unknowns in units of what is expected of them, from nothing on; six more for what moved
     unit = np.r_[np.ones(things), posterior.base]
     prior = np.r_[np.zeros(things), (posterior.base / setup.prior) ** 2]
-    G, y = F * unit, r + F[:, :, things:] @ setup.theta
+    G, y = F * unit, r + F[:, :, things:] @ setup.theta  # from nothing on, not from the last fit
     of_rows = np.einsum("nid,nie->nde", G, G, optimize=True)
-    pulls = np.einsum("nid,ni->nd", G, y)
     rest = posterior.information * np.outer(unit, unit) - of_rows.sum(axis=0) - np.diag(prior)
     out = np.argsort(-left_out_squares(posterior, F, r))[:TRIED]
     likely = _likely_moves(posterior, F, r, frames)
-    H = 1 + len(out) + len(likely)
-    A, g = np.zeros((H, D + 6, D + 6)), np.zeros((H, D + 6))
-    A[:, :D, :D], g[:, :D] = of_rows.sum(axis=0) + rest, pulls.sum(axis=0)
-    squares, numbers = np.sum(y**2, axis=1), np.any(F != 0.0, axis=2).sum(axis=1)
-    yy, n = np.full(H, squares.sum()), np.full(H, numbers.sum())
-    for h, k in enumerate(out.tolist(), start=1):
-        A[h, :D, :D] -= of_rows[k]
-        g[h, :D] -= pulls[k]
-        yy[h] -= squares[k]
-        n[h] -= numbers[k]
-    for h, (frame, first) in enumerate(likely, start=1 + len(out)):
-        some = frames[frame]
-        scale = SLIP / unit[some]
+    slipped = [(frames[frame], SLIP / unit[frames[frame]], first) for frame, first in likely]
+    equations = _equations(G, y, of_rows, rest, out, slipped)
+    alike = [*(things + some for some in members(setup.model)), np.arange(D, D + 6)]
+    estimates = _in_sizes(equations, np.r_[prior, np.ones(6)], alike)
+    left = np.maximum(equations.squares - np.einsum("hd,hd->h", equations.pull, estimates.value), 0.0)
+    evidence = _evidence(equations, estimates, left, rest, alike)
+    gain = evidence - evidence[0]
+    others = [
+        _beside(G[k], y[k], *(part[h] for part in (estimates.value, estimates.covariance, left, equations.numbers)))
+        for h, k in enumerate(out.tolist(), start=1)
+    ]
+    of_bad = gain[1 : 1 + len(out)] + np.array([bad for bad, _ in others]) + np.log(IS_BAD)
+    of_moves = gain[1 + len(out) :] + np.log(MOVES)
+    slips = SLIP / np.sqrt(estimates.size[1 + len(out) :, D])
+    moves = tuple(
+        SupposedMove(frame, first, float(value), float(by))
+        for (frame, first), value, by in zip(likely, of_moves, slips, strict=True)
+    )
+    return Suppositions(out, of_bad, np.array([chance for _, chance in others]), moves)
+
+
+def _equations(
+    G: np.ndarray,
+    y: np.ndarray,
+    of_rows: np.ndarray,
+    rest: np.ndarray,
+    out: np.ndarray,
+    moves: Sequence[tuple[np.ndarray, np.ndarray, int]],
+) -> _Equations:
+    """The equations of all suppositions.
+
+    Args:
+        G: Columns of the rows, shape (N, m, D).
+        y: What they measured, shape (N, m).
+        of_rows: Information of each, shape (N, D, D).
+        rest: Information that is not of these rows, nor of sizes, shape (D, D).
+        out: Rows that are left out in turn.
+        moves: Columns of a frame, what a slip of :data:`SLIP` is in each, and the first row after it.
+    """
+    D = G.shape[2]
+    pulls = np.einsum("nid,ni->nd", G, y)
+    squares, numbers = np.sum(y**2, axis=1), np.any(G != 0.0, axis=2).sum(axis=1)
+    H = 1 + len(out) + len(moves)
+    information, pull = np.zeros((H, D + 6, D + 6)), np.zeros((H, D + 6))
+    information[:, :D, :D], pull[:, :D] = of_rows.sum(axis=0) + rest, pulls.sum(axis=0)
+    bad = slice(1, 1 + len(out))
+    information[bad, :D, :D] -= of_rows[out]
+    pull[bad, :D] -= pulls[out]
+    for h, (some, scale, first) in enumerate(moves, start=1 + len(out)):
         of_move = slice(D, D + len(some))
         since = of_rows[first:].sum(axis=0)[:, some] * scale
-        A[h, :D, of_move], A[h, of_move, :D], A[h, of_move, of_move] = since, since.T, since[some] * scale[:, None]
-        g[h, of_move] = pulls[first:].sum(axis=0)[some] * scale
-    keys = groups(setup.model)
-    members = [
-        things + np.array([k for k, other in enumerate(keys) if other == key]) for key in dict.fromkeys(keys) if key
-    ]
-    members.append(np.arange(D, D + 6))
-    size = np.tile(np.r_[prior, np.ones(6)], (H, 1))  # inverse squares
-    for some in members:
+        information[h, :D, of_move], information[h, of_move, :D] = since, since.T
+        information[h, of_move, of_move] = since[some] * scale[:, None]
+        pull[h, of_move] = pulls[first:].sum(axis=0)[some] * scale
+    without = np.concatenate([[-1], out, np.full(len(moves), -1)]).astype(int)
+    own = np.where(without < 0, 0.0, squares[without]), np.where(without < 0, 0, numbers[without])
+    return _Equations(information, pull, squares.sum() - own[0], numbers.sum() - own[1])
+
+
+def _in_sizes(equations: _Equations, prior: np.ndarray, alike: Sequence[np.ndarray]) -> _Estimates:
+    """Estimates in sizes that suit them (the fixed point of MacKay 1992).
+
+    Args:
+        equations: Of H suppositions.
+        prior: Inverse squares of the sizes that no row changes, shape (D + 6,).
+        alike: Unknowns that share a size, each group's numbers.
+    """
+    size = np.tile(prior, (len(equations.pull), 1))
+    for some in alike:
         size[:, some] = 1.0
-    for round_ in range(ROUNDS + 1):
-        M = A + _diagonals(size)
-        V = np.linalg.inv(M)
-        estimate = np.einsum("hde,he->hd", V, g)
-        if round_ == ROUNDS:
-            break
-        for some in members:
-            told = PRIOR_WEIGHT + np.sum(np.maximum(1.0 - V[:, some, some] * size[:, some], 0.0), axis=1)
-            size[:, some] = (told / (PRIOR_WEIGHT + np.sum(estimate[:, some] ** 2, axis=1)))[:, None]
-    q = np.maximum(yy - np.einsum("hd,hd->h", g, estimate), 0.0)
-    nu = SCATTER_WEIGHT
-    before = _diagonals(size)
-    before[:, :D, :D] += rest
-    log_p = 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(M)[1])
-    log_p += gammaln((nu + n) / 2.0) - n / 2.0 * np.log(nu / 2.0) - (nu + n) / 2.0 * np.log1p(q / nu)
-    for some in members:
-        log_p += PRIOR_WEIGHT / 2.0 * (np.log(size[:, some[0]]) - size[:, some[0]])
-    gain = log_p - log_p[0]
-    probability = np.ones(len(out))
-    for h, k in enumerate(out.tolist(), start=1):
-        part = np.any(F[k] != 0.0, axis=1)
-        error = (y[k] - G[k] @ estimate[h, :D])[part]
-        spread = np.eye(len(error)) + G[k][part] @ V[h, :D, :D] @ G[k][part].T
-        spread *= max(1.0, (nu + q[h]) / (nu + n[h]))
-        gain[h] += log_mean([log_density(error, spread + by**2 * np.eye(len(error))) for by in BAD_SIZES]) + np.log(
-            IS_BAD
-        )
-        square = float(error @ np.linalg.solve(spread, error))
-        if square > CLEARLY**2 * len(error):
-            probability[h - 1] = float(exceeded(square, len(error), nu + float(n[h])))
-    of_moves = gain[1 + len(out) :] + np.log(MOVES)
-    sizes = SLIP / np.sqrt(size[1 + len(out) :, D])
-    moves = tuple(
-        Move(frame, first, float(value), float(by))
-        for (frame, first), value, by in zip(likely, of_moves, sizes, strict=True)
-    )
-    return Weighed(out, gain[1 : 1 + len(out)], probability, moves)
+    estimates = _solution(equations, size)
+    for _ in range(ROUNDS):
+        size = size.copy()
+        for some in alike:
+            open_share = estimates.covariance[:, some, some] * size[:, some]
+            determined = PRIOR_WEIGHT + np.sum(np.maximum(1.0 - open_share, 0.0), axis=1)
+            squares = PRIOR_WEIGHT + np.sum(estimates.value[:, some] ** 2, axis=1)
+            size[:, some] = (determined / squares)[:, None]
+        estimates = _solution(equations, size)
+    return estimates
+
+
+def _solution(equations: _Equations, size: np.ndarray) -> _Estimates:
+    """Estimates in given sizes, inverse squares of shape (H, D + 6)."""
+    information = equations.information + _diagonals(size)
+    covariance = np.linalg.inv(information)
+    return _Estimates(size, information, covariance, np.einsum("hde,he->hd", covariance, equations.pull))
+
+
+def _evidence(
+    equations: _Equations, estimates: _Estimates, left: np.ndarray, rest: np.ndarray, alike: Sequence[np.ndarray]
+) -> np.ndarray:
+    r"""Logarithm of the density of the rows under each supposition, but for a constant, shape (H,).
+
+    With q what is left of the squares, n numbers, nu of :data:`SCATTER_WEIGHT`, and information :math:`P` before and
+    :math:`M` after the rows, sizes s and their weight w of :data:`PRIOR_WEIGHT`,
+
+    .. math:: \frac12 \log \frac{|P|}{|M|} + \log \Gamma(\tfrac{\nu + n}{2}) - \tfrac n2 \log \tfrac\nu2
+              - \tfrac{\nu + n}{2} \log(1 + q / \nu) + \tfrac w2 \sum (\log s^{-2} - s^{-2})
+    """
+    before = _diagonals(estimates.size)
+    before[:, : len(rest), : len(rest)] += rest
+    nu, n = SCATTER_WEIGHT, equations.numbers
+    evidence = 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(estimates.information)[1])
+    evidence += gammaln((nu + n) / 2.0) - n / 2.0 * np.log(nu / 2.0) - (nu + n) / 2.0 * np.log1p(left / nu)
+    for some in alike:
+        evidence += PRIOR_WEIGHT / 2.0 * (np.log(estimates.size[:, some[0]]) - estimates.size[:, some[0]])
+    return np.asarray(evidence)
+
+
+def _beside(
+    G: np.ndarray, y: np.ndarray, value: np.ndarray, covariance: np.ndarray, left: float, numbers: int
+) -> tuple[float, float]:
+    """A row beside all others: the logarithm of its density if it is bad, and the chance of a good one to be off as much.
+
+    Args:
+        G: Its columns, shape (m, D).
+        y: What it measured, shape (m,).
+        value: The unknowns as all others tell them, shape (D + 6,).
+        covariance: Of these.
+        left: Squares that are left of the others.
+        numbers: How many numbers they are.
+    """
+    measured, D = np.any(G != 0.0, axis=1), G.shape[1]
+    error = (y - G @ value[:D])[measured]
+    spread = np.eye(len(error)) + G[measured] @ covariance[:D, :D] @ G[measured].T
+    spread *= max(1.0, (SCATTER_WEIGHT + left) / (SCATTER_WEIGHT + numbers))
+    bad = log_mean([log_density(error, spread + by**2 * np.eye(len(error))) for by in BAD_SIZES])
+    square = float(error @ np.linalg.solve(spread, error))
+    if square <= CLEARLY**2 * len(error):
+        return bad, 1.0
+    return bad, float(exceeded(square, len(error), SCATTER_WEIGHT + float(numbers)))
 
 
 def _diagonals(values: np.ndarray) -> np.ndarray:

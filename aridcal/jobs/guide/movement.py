@@ -28,7 +28,7 @@ SURE = float(np.log(20.0))
 
 
 @dataclass(frozen=True)
-class Moved:
+class FrameMovement:
     """A frame that moved.
 
     Attributes:
@@ -44,9 +44,9 @@ class Moved:
     size: float
 
 
-def moved(
+def movement(
     errors: Sequence[np.ndarray], spread: np.ndarray, by_frame: dict[str, np.ndarray], first: int
-) -> Moved | None:
+) -> FrameMovement | None:
     """Weigh the hypotheses for rows since a given one.
 
     Args:
@@ -79,7 +79,7 @@ def moved(
     if odds < SURE:
         return None
     frames = sorted((name for name, value in of_frame.items() if value > best - SURE), key=lambda n: -of_frame[n])
-    return Moved(first, tuple(frames), odds, max(SIZES[int(np.argmax(of_sizes[name]))] for name in frames))
+    return FrameMovement(first, tuple(frames), odds, max(SIZES[int(np.argmax(of_sizes[name]))] for name in frames))
 
 
 def log_density(e: np.ndarray, S: np.ndarray) -> float:

@@ -316,20 +316,18 @@ def _sizes(base: np.ndarray, setup: PlanSetup, theta: np.ndarray, variance: np.n
     theirs.
     """
     sizes = base.copy()
-    keys = groups(setup.model)
-    for key in dict.fromkeys(keys):
-        if key:
-            some = np.array([k for k, other in enumerate(keys) if other == key])
-            squares = float(np.sum((theta[some] ** 2 + np.maximum(variance[some], 0.0)) / base[some] ** 2))
-            sizes[some] *= np.sqrt((PRIOR_WEIGHT + squares) / (PRIOR_WEIGHT + len(some)))
+    for some in members(setup.model):
+        squares = float(np.sum((theta[some] ** 2 + np.maximum(variance[some], 0.0)) / base[some] ** 2))
+        sizes[some] *= np.sqrt((PRIOR_WEIGHT + squares) / (PRIOR_WEIGHT + len(some)))
     return sizes
 
 
-def groups(model: Model) -> list[str]:
-    """What each coefficient shares its size with; nothing of frames, of what is at things, and of what moved."""
-    return [
+def members(model: Model) -> list[np.ndarray]:
+    """Numbers of the coefficients of each group that shares a size; none of frames, of what is at things, and of what moved."""
+    keys = [
         "" if of_thing else _group(c) for c, of_thing in zip(model.coefficients, model.at_things.tolist(), strict=True)
     ]
+    return [np.array([k for k, other in enumerate(keys) if other == key]) for key in dict.fromkeys(keys) if key]
 
 
 def _group(c: Coefficient) -> str:

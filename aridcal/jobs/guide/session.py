@@ -17,11 +17,11 @@ from aridcal.files.campaign import Campaign
 from aridcal.files.counting import counting
 from aridcal.files.orientations import column_of
 from aridcal.jobs.guide.accuracy import DRAWS, Beside, bound
-from aridcal.jobs.guide.early_rows import Weighed, is_young, weighed
+from aridcal.jobs.guide.early_rows import Suppositions, is_young, weigh
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop, Why
 from aridcal.jobs.guide.growing_table import GrowingTable
 from aridcal.jobs.guide.judgement import FALSE_ALARM, Inflation, Verdict, beside_others, verdict
-from aridcal.jobs.guide.movement import Moved, moved
+from aridcal.jobs.guide.movement import FrameMovement, movement
 from aridcal.jobs.guide.next_pose import (
     AHEAD,
     PLACES,
@@ -78,7 +78,7 @@ TURN_BACK = 0.05
 SLIPPED = 3.0
 """Times the likeliest size of a slip that each of its six numbers may have."""
 
-YOUNG = 60.0
+FRAMES_IN_DOUBT = 60.0
 """Numbers measured, ten poses, up to which a row that is off may be good, and the frames found before it wrong: they are
 sought again with it."""
 
@@ -261,13 +261,13 @@ class Session:
         before, rows_of_fit, good = self.posterior, self.fitted_rows, dict(self.good)
         used = [j for j, is_good in self.good.items() if is_good or j in self.off]
         assert before is not None
-        if len(used) * self._numbers > YOUNG or self.slips:
+        if len(used) * self._numbers > FRAMES_IN_DOUBT or self.slips:
             return False
         self.good = good | dict.fromkeys([*used, k], True)
         self.posterior = None
         self._begin(0)
         at = int(np.flatnonzero(self.read.index == k)[0])
-        if self.posterior is not None and self._weighed([]).spoiling(FALSE_ALARM) != at:
+        if self.posterior is not None and self._suppositions([]).spoiling(FALSE_ALARM) != at:
             self.off -= {*used, k}
             return True
         self.posterior, self.fitted_rows, self.good = before, rows_of_fit, good
@@ -279,12 +279,12 @@ class Session:
         assert self.posterior is not None
         return is_young(self.posterior, sum(self.good.values()) * self._numbers)
 
-    def _weighed(self, more: Sequence[int]) -> Weighed:
+    def _suppositions(self, more: Sequence[int]) -> Suppositions:
         """Leave each row in use out in turn, and some more; rows by their numbers among those read."""
         assert self.posterior is not None
         used = self._in_use()
         rows = np.union1d(used, np.array(more, dtype=int))
-        answer = weighed(self.posterior, np.isin(rows, used), *self._columns(rows), self._frames())
+        answer = weigh(self.posterior, np.isin(rows, used), *self._columns(rows), self._frames())
         moves = tuple(replace(move, first=int(rows[move.first])) for move in answer.moves)
         return replace(answer, rows=rows[answer.rows], moves=moves)
 
@@ -300,7 +300,7 @@ class Session:
 
     def _is_unsure(self, at: int) -> bool:
         """Whether a row that is off among few may be good, and another bad: the rows to come tell. It is then in use."""
-        if not self._young or self._weighed([at]).spoiling(FALSE_ALARM) == at:
+        if not self._young or self._suppositions([at]).spoiling(FALSE_ALARM) == at:
             return False
         assert self.posterior is not None
         F, r = self._columns(np.array([at]))
@@ -361,14 +361,14 @@ class Session:
         if self._young and self._places:
             off = self.off - self.called_off
             recent = [j for j in range(max(0, at - WINDOW + 1), at + 1) if int(self.read.index[j]) in off]
-            early = self._weighed(recent).moved()
+            early = self._suppositions(recent).movement()
             return self._slip(early, rows, at) if early else []
         judged = [j for j in range(max(0, at - WINDOW + 1), at + 1) if self._judges(int(self.read.index[j]))]
         judged = [j for j, known in zip(judged, self._knows()[judged], strict=True) if known]
         if len(judged) < 2 or all(self.good[int(self.read.index[j])] for j in judged):
             return []
         F, r = self._columns(np.array(judged))
-        found: list[Moved] = []
+        found: list[FrameMovement] = []
         before = self.posterior
         in_use = [self.good[int(self.read.index[j])] for j in judged]
         for first in range(len(judged) - 1, -1, -1):
@@ -383,14 +383,14 @@ class Session:
             spread = self.inflation.variance * (np.eye(len(error)) + flat @ before.covariance @ flat.T)
             by_frame = {where: flat[:, some] for where, some in self._frames().items()}
             split = np.split(error, np.cumsum([int(part.sum()) for part in parts])[:-1])
-            answer = moved(split, spread, by_frame, judged[first])
+            answer = movement(split, spread, by_frame, judged[first])
             found += [answer] if answer else []
         if not found:
             return []
         best = max(found, key=lambda one: one.odds)
         return self._slip(best, rows, at)
 
-    def _slip(self, best: Moved, rows: Dataset, at: int) -> list[Event]:
+    def _slip(self, best: FrameMovement, rows: Dataset, at: int) -> list[Event]:
         """Go on with a frame that is elsewhere since a row."""
         assert self.posterior is not None
         first = int(self.read.index[best.first])
@@ -518,7 +518,7 @@ class Session:
         if not len(used):
             return None
         if self._young:
-            return self._weighed([]).spoiling(BELATED)
+            return self._suppositions([]).spoiling(BELATED)
         probability = beside_others(self.posterior, *self._columns(used), self.inflation)
         worst = int(np.argmin(probability))
         return int(used[worst]) if probability[worst] < BELATED else None

@@ -63,7 +63,7 @@ def bounds(residual: np.ndarray, sigma: float, taken: int = 0) -> Bounds:
     squares, count, axes = float(np.sum(residual**2)) / sigma**2, residual.size - taken, residual.shape[1]
     scale = sigma / np.sqrt(len(residual))
     estimate = scale * np.sqrt(max(squares - count, 0.0))
-    if squares > NORMAL_FROM_SQUARES * count:
+    if squares > min(NORMAL_FROM_SQUARES * count, LONGEST_SERIES):
         margin = scale * float(-ndtri(FALSE_ALARMS))
         return Bounds(float(estimate), float(estimate - margin), float(estimate + margin), axes)
     low, high = (_noncentrality(squares, count, share) for share in (1.0 - FALSE_ALARMS, FALSE_ALARMS))
@@ -72,6 +72,10 @@ def bounds(residual: np.ndarray, sigma: float, taken: int = 0) -> Bounds:
 
 NORMAL_FROM_SQUARES = 1e4
 """Times the noise's own squares beyond which the root of the sum is normal, of sigma 1, to a ten-thousandth of that."""
+
+LONGEST_SERIES = 1e9
+"""Work: squares beyond which the root is taken for normal, too: SciPy's series for the noncentrality ends in NaN beyond 1e10. Of
+three million numbers its sigma is then still right to a thousandth."""
 
 
 def _noncentrality(squares: float, count: int, share: float) -> float:
