@@ -181,14 +181,18 @@ def threads():
     import scipy.linalg
     print(sorted(i["num_threads"] for i in threadpoolctl.threadpool_info() if i["user_api"] == "blas"))
 if {early}: threads()
-run(threads)
+run({between})
+if {between} is not threads:
+    threads()  # loads SciPy's after what was loaded has been looked for
+    run(threads)
 print(os.environ["OPENBLAS_NUM_THREADS"], os.environ.get("BLIS_NUM_THREADS"))
 """
     env = os.environ | {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2", "PYTHONPATH": str(ROOT)}
     two = min(2, os.cpu_count() or 1)
-    before = {True: [f"[{two}, {two}]"], False: []}  # SciPy's is loaded late, by what needs it
-    for early, first in before.items():
-        words = [sys.executable, "-c", code.format(early=early)]
+    at_two = f"[{two}, {two}]"
+    before = {(True, "threads"): [at_two], (False, "threads"): [], (False, "dict"): [at_two]}  # SciPy's is loaded late
+    for (early, between), first in before.items():
+        words = [sys.executable, "-c", code.format(early=early, between=between)]
         said = subprocess.run(words, env=env, check=True, capture_output=True, text=True).stdout
         assert said.splitlines() == [*first, "[1, 1]", "2 None"]
 

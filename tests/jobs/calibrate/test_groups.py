@@ -14,6 +14,7 @@ from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.least_squares import Fit, fit_identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.search.noise_tests import Clue
+from aridcal.jobs.calibrate import groups as of_groups
 from aridcal.jobs.calibrate.groups import _likeliest, _white, groups
 from aridcal.jobs.calibrate.pipeline import identify
 
@@ -81,6 +82,21 @@ def test_one_noise_of_any_tails_is_no_two_groups(noise: str) -> None:
         }[noise](rng)
         false += any(clue.tells for clue in groups(truth.measured, NOISE * drawn, found))
     assert false == 0
+
+
+def test_first_draws_alone_end_the_look_only_where_all_would_find_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shifts about as large as can just be told; with all draws each time, the same is said of every one."""
+    truth, odd = seated(150, 0.1, 0.0, 5)
+    found = fitted(truth)
+    rows = [
+        np.random.default_rng(seed).standard_normal((150, 3)) * NOISE + np.outer(odd, [0.0, 0.0, size * NOISE])
+        for seed in range(3)
+        for size in (0.0, 2.0, 2.5, 3.0, 3.5)
+    ]
+    quick = [groups(truth.measured, r, found) for r in rows]
+    monkeypatch.setattr(of_groups, "DOUBT", 2.0)  # no chance is as large
+    assert quick == [groups(truth.measured, r, found) for r in rows]
+    assert 0 < sum(map(bool, quick)) < len(rows)
 
 
 def test_the_statistic_is_twice_the_gain_in_likelihood_of_two_normal_densities() -> None:

@@ -187,6 +187,25 @@ def test_corrected_joints_bring_the_target_as_near_to_the_nominal_arms_as_compen
     assert squares[0] <= 1.05**2 * squares[1]
 
 
+def test_beside_a_straight_wrist_corrected_joints_come_as_near_as_compensate_does(
+    of_a_ur10: tuple[SavedModel, Export],
+) -> None:
+    """There every search sticks: one of too few steps or starts leaves a fifth more."""
+    saved, exported = of_a_ur10
+    inverse, rng, column = saved.inverse_kinematics(), np.random.default_rng(3), "shoulder_lift_joint_direction"
+    low, high = np.array([saved.ranges[name] for name in saved.final.model.robot.readings]).T
+    rows = rng.uniform(low, high, (200, 6))
+    rows[:, 4] = rng.uniform(-0.05, 0.05, 200)
+    squares, stuck = np.zeros(2), 0
+    for wanted in rows:
+        _, R, p = exported.nominal(wanted)
+        command = inverse.command(R, p, wanted, {column: 1.0})
+        squares += exported.correct(wanted, np.ones(1))[2][0] ** 2, command.position_error**2
+        stuck += command.position_error > 1e-5
+    assert stuck > 5
+    assert squares[0] <= 1.05**2 * squares[1]
+
+
 def test_statuses_tell_limits_from_ranges_and_holes(of_a_ur10: tuple[SavedModel, Export]) -> None:
     _, exported = of_a_ur10
     c, q = np.ones(1), np.array([0.1, -1.0, 1.0, 0.3, 0.8, 0.2])

@@ -124,6 +124,12 @@ def test_noise_that_was_estimated_from_few_rows_raises_fewer_alarms():
     assert alarm(sure, []).p_value < 0.2 * alarm(unsure, []).p_value
 
 
+def test_bounds_of_millions_of_gross_errors_are_numbers_about_the_error():
+    """Series for the noncentrality end in NaN there."""
+    off = bounds(np.full((1_000_000, 3), 9.4e-3), 1e-4)
+    assert off.low < 1e-4 * np.sqrt(3 * (94**2 - 1)) < off.high < 1.0001 * off.low
+
+
 def test_the_bounds_of_the_error_hold_it_as_often_as_they_say():
     """Where one sum of squares in a hundred is smaller, by sampling, the highest error is the true one; so at the other end."""
     rng = np.random.default_rng(3)
