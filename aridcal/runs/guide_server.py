@@ -43,6 +43,7 @@ class Board:
     rows: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=LAST_ROWS))
     alarms: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=LAST_ALARMS))
     known: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_POINTS))
+    last: dict[str, Any] | None = None
     following: dict[str, Any] | None = None
     stop: dict[str, Any] | None = None
     report: str = ""
@@ -55,8 +56,10 @@ class Board:
             match event:
                 case RowRead():
                     self.rows.append(event.document())
+                    if self.last is None or event.row >= self.last["row"]:  # else an earlier one is judged again
+                        self.last = event.document()
                 case Alarm():
-                    self.alarms.append(event.document())
+                    self.alarms.append({**event.document(), "after": self.last and self.last["row"]})
                 case Known():
                     self.known.append(event.document())
                 case Next():
@@ -72,6 +75,7 @@ class Board:
                 "table": self.table,
                 "units": self.units,
                 "rows": list(self.rows),
+                "last": self.last,
                 "alarms": list(self.alarms),
                 "known": list(self.known),
                 "next": self.following,

@@ -298,6 +298,18 @@ def test_images_are_refused_with_what_to_do_and_nothing_is_written(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["campaign.yaml", "scara.urdf"]
 
 
+def test_the_page_shows_the_last_row_and_the_last_alarm_where_an_earlier_row_is_judged_again() -> None:
+    board = Board("cell", None, "measurements.csv")
+    board.note([RowRead(2, True), RowRead(3, True), RowRead(4, True), Alarm(2, "outlier", "off", "do")])
+    board.note([RowRead(2, False, ("off",))])
+    state = json.loads(board.text)
+    assert (state["last"]["row"], state["last"]["ok"]) == (4, True)
+    assert (state["alarms"][-1]["row"], state["alarms"][-1]["after"]) == (2, 4)
+    assert [(row["row"], row["ok"]) for row in state["rows"]][-1] == (2, False)
+    board.note([RowRead(4, False)])
+    assert json.loads(board.text)["last"]["ok"] is False
+
+
 def test_the_page_serves_this_computer_only_and_takes_two_words(tmp_path: Path) -> None:
     incoming = Incoming()
     board = Board("cell", 2e-4, "measurements.csv")

@@ -22,6 +22,7 @@
     const points = known.filter((k) => k.position_mm > 0);
     const svg = by("curve");
     svg.replaceChildren();
+    svg.parentElement.hidden = points.length < 2;
     if (points.length < 2) return;
     const put = (name, attributes, text) => {
       const element = document.createElementNS("http://www.w3.org/2000/svg", name);
@@ -51,7 +52,7 @@
   }
 
   function show(state) {
-    const row = state.rows[state.rows.length - 1];
+    const row = state.last;
     const known = state.known[state.known.length - 1];
     const alarm = state.alarms[state.alarms.length - 1];
     by("row").textContent = row ? `${row.ok ? "✓" : "✗"} ${row.row} ${row.ok ? "good" : "not used"}` : "none yet";
@@ -64,7 +65,7 @@
     by("known-more").textContent = known
       ? `${turn}after ${known.rows} rows, in 95 % of the region with 95 % confidence${tolerance}${more}`
       : "three poses that differ are needed before anything can be said";
-    const lately = alarm && row && (alarm.row >= row.row - 1 || (alarm.what === "slip" && alarm.row >= row.row - 3));
+    const lately = alarm && row && alarm.after >= row.row - 1;
     by("alarm").hidden = !lately || Boolean(state.stop);
     if (lately) by("alarm").replaceChildren(made("h2", `⚠ ${alarm.what}`), made("p", alarm.words), made("p", `Do: ${alarm.do}`));
     by("following").hidden = !state.next;
