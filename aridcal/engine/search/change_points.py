@@ -45,6 +45,10 @@ WANDER_VARIANCES = (1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0
 """Work: Variances of such noise that are tried, in units of a row's own: two in a decade, from nothing to all that there is."""
 
 
+NUMBERS_AT_ONCE = 2**16
+"""Work: Numbers in the columns of the steps that are looked at together: half a MB, which a core keeps at hand."""
+
+
 def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where steps of a covariate can be: midway between two rows, with enough rows on either side.
 
@@ -113,7 +117,7 @@ def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -
         best = (
             _Scan.of(state, of, groups).best(groups)
             if model.off is None
-            else _best_one_by_one(model, state, values, groups)
+            else _best_beside_things(model, state, values, groups)
         )
         for (effect, (_, possible_steps)), place in zip(possible.items(), best, strict=True):
             steps_of[effect] = effect.placed(float(points[possible_steps][place]))
@@ -124,24 +128,27 @@ def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -
 SlotGroup = tuple[Sequence[int], np.ndarray]
 
 
-def _best_one_by_one(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[SlotGroup]) -> list[int]:
-    """Index of the best step of each group, tried one by one, as unknown things take up a part of each.
+def _best_beside_things(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[SlotGroup]) -> list[int]:
+    """Index of the best step of each group, all its rows looked at for each, as unknown things take up a part of each.
 
     ``values`` of the covariate are of the rows in use, shape (n,).
     """
     A, r = state.whitened(state.design), state.whitened(state.flat(state.residual))
     order = np.argsort(np.argsort(values, kind="stable"))
 
+    def of_block(slots: Sequence[int], before: np.ndarray) -> np.ndarray:
+        after = np.zeros((len(model.r), len(before)))
+        after[state.used] = order[:, None] >= before
+        columns = model.G[:, :, None, list(slots)] * after[:, None, :, None]
+        C = state.whitened(state.flat(model.seen(columns.reshape(*columns.shape[:2], -1))))
+        each = C.reshape(len(C), *columns.shape[2:]).transpose(1, 2, 0)
+        CA, Cr = (each.reshape(-1, len(C)) @ A).reshape(*each.shape[:2], -1), each @ r
+        M = each @ each.transpose(0, 2, 1) - CA @ state.solution.inverse @ CA.transpose(0, 2, 1)
+        return explained(M, Cr, np.sum(each**2, axis=2))[0]
+
     def squares(slots: Sequence[int], before: np.ndarray) -> np.ndarray:
-        sums = []
-        for count in before.tolist():
-            after = np.zeros(len(model.r))
-            after[state.used] = order >= count
-            C = state.whitened(state.flat(model.seen(model.G[:, :, list(slots)] * after[:, None, None])))
-            CA, Cr = C.T @ A, C.T @ r
-            M = C.T @ C - CA @ state.solution.inverse @ CA.T
-            sums.append(explained(M[None], Cr[None], np.sum(C**2, axis=0)[None])[0])
-        return np.concatenate(sums)
+        step = max(1, NUMBERS_AT_ONCE // (model.r.size * len(slots)))
+        return np.concatenate([of_block(slots, before[at : at + step]) for at in range(0, len(before), step)])
 
     return [_best(before, partial(squares, slots)) for slots, before in groups]
 
