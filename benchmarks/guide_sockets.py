@@ -1,0 +1,197 @@
+"""How many touches being led saves where a ball is held in sockets and nothing else measures.
+
+    python benchmarks/guide_sockets.py 10                  # draws of a UR10, a 7R, a SCARA and a gantry
+    python benchmarks/guide_sockets.py 10 --first 20 --arm UR10
+
+The machines are those of ``guide.py``. Six sockets stand anywhere in reach, in three pairs whose lengths are known to 0.01 mm;
+their places are not known. A touch is the joints that hold the ball of the true machine in a socket, noise of 0.05 mm in it.
+Random touches are of a random socket from random joints. What is led begins with nine of these, three of each of three
+sockets, as nothing can be proposed before. Sockets do not tell where the base is: errors are those of the target's place at
+95 % of the region once the two are laid over each other. The floor is what is left after 200 random touches; judged as in
+``guide.py``: rows from which on the error stays within twice the floor, and the truth at the stop.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import yaml
+from guide import ARMS, FLOOR_ROWS, MOST_ROWS, NOISE, cell, until
+from scipy.spatial.transform import Rotation
+
+from aridcal.engine.inverse.reachable import draw_readings, inner_limits
+from aridcal.engine.model.predictions import rows_of_data
+from aridcal.files.campaign import load_campaign
+from aridcal.jobs.guide.events import Next, Stop
+from aridcal.jobs.guide.session import Session, session
+from aridcal.jobs.simulate.live import LiveArm
+
+PAIRS, LENGTH_STD = 3, 1e-5
+STEPS, EXACT, NUDGE = 30, 1e-9, 1e-6
+
+
+@dataclass
+class Ball:
+    """A true machine with a ball at its tip, and sockets around it.
+
+    Attributes:
+        arm: The machine.
+        sockets: Place of each by its name, (3,), [m] in the base.
+        noise: Draws how far the ball is off the middle of a socket.
+    """
+
+    arm: LiveArm
+    sockets: dict[str, np.ndarray]
+    noise: np.random.Generator
+
+    def places(self, readings: np.ndarray) -> np.ndarray:
+        """Where the ball is in the base, shape (n, 3), [m]."""
+        _, p = self.arm.model.poses(self.arm.simulation.theta, self.arm.model.rows(readings))
+        ((_, base),) = self.arm.model.world_base
+        return np.asarray((p - base.translation) @ base.rotation)
+
+    def touch(self, start: np.ndarray, name: str) -> np.ndarray | None:
+        """Joints near a start, shape (columns,), that hold the ball in a socket; None if there are none within the limits."""
+        low, high = inner_limits(self.arm.simulation.robot)
+        wanted = self.sockets[name] + NOISE["position"]["position"] * self.noise.standard_normal(3)
+        q = start.copy()
+        for _ in range(STEPS):
+            at, *moved = self.places(np.vstack([q, q + NUDGE * np.eye(len(q))]))
+            if np.linalg.norm(wanted - at) < EXACT:
+                break
+            q = q + np.linalg.pinv((np.array(moved) - at).T / NUDGE, rcond=1e-3) @ (wanted - at)
+        else:
+            return None
+        return q if np.all((low <= q) & (q <= high)) else None
+
+    def anywhere(self, name: str, rng: np.random.Generator) -> np.ndarray:
+        """Joints at random that hold the ball in a socket, shape (columns,)."""
+        while True:
+            q = self.touch(draw_readings(self.arm.simulation.robot, 1, rng, inner_limits)[0], name)
+            if q is not None:
+                return q
+
+    def line(self, readings: np.ndarray, name: str) -> tuple[bytes, bytes]:
+        """A row of the table: the header, and the line."""
+        frame = pd.DataFrame([[*readings.tolist(), name]], columns=[*self.arm.simulation.robot.readings, "point"])
+        head, row, _ = frame.to_csv(index=False).encode().split(b"\n")
+        return head, row
+
+
+def workcell(folder: Path, arm: str, seed: int) -> Ball:
+    """Draw a machine and its sockets; the campaign is written beside."""
+    rng = np.random.default_rng([seed, 11])
+    made = cell(folder, arm, "position", seed).arm
+    ball = Ball(made, {}, np.random.default_rng([seed, 12]))
+    robot = made.simulation.robot
+    places = ball.places(draw_readings(robot, 2 * PAIRS, rng, inner_limits))
+    ball.sockets.update({f"s{k}": place for k, place in enumerate(places)})
+    ends = [(f"s{2 * k}", f"s{2 * k + 1}") for k in range(PAIRS)]
+    keys = yaml.safe_load((folder / "campaign.yaml").read_text())
+    keys["measurements"] = {"file": "measurements.csv", "kind": "point", "noise": NOISE["position"]}
+    target = made.simulation.frames["tip_target"].translation + 0.002 * rng.standard_normal(3)
+    keys["frames"] = {"tip_target": {"xyz": target.tolist()}}
+    keys["instruments"] = {
+        "lengths": [
+            {
+                "between": [one, two],
+                "length": float(
+                    np.linalg.norm(ball.sockets[one] - ball.sockets[two]) + LENGTH_STD * rng.standard_normal()
+                ),
+                "std": LENGTH_STD,
+            }
+            for one, two in ends
+        ]
+    }
+    (folder / "campaign.yaml").write_text(yaml.safe_dump(keys))
+    return ball
+
+
+def error(now: Session, ball: Ball) -> float:
+    """95th percentile over the region of the target's error, the base laid over the true one, [m]."""
+    if now.posterior is None:
+        return np.inf
+    setup = now.posterior.setup
+    theta = setup.theta + now.posterior.step[now.posterior.things :]
+    pattern = setup.patterns.select(np.zeros(len(now.region), dtype=int))
+    _, p = setup.model.poses(theta, rows_of_data(setup.model, pattern, now.region))
+    true = ball.places(now.region)
+    p, true = p - p.mean(axis=0), true - true.mean(axis=0)
+    turn, _ = Rotation.align_vectors(true, p)
+    return float(np.quantile(np.linalg.norm(turn.apply(p) - true, axis=1), 0.95))
+
+
+def fed(now: Session, ball: Ball, readings: np.ndarray, name: str) -> list[object]:
+    """Touch a socket, and what is said to it."""
+    head, line = ball.line(readings, name)
+    if not now.table.head:
+        now.table.add(head)
+    return list(now.taken(now.table.add(line)))
+
+
+def draw(folder: Path, arm: str, seed: int) -> tuple[float, float, float, float, float]:
+    """One draw: floor, rows of each way, rows at the stop, and whether the truth is within."""
+    ball, rng = workcell(folder, arm, seed), np.random.default_rng([seed, 13])
+    campaign, robot = load_campaign(folder / "campaign.yaml"), ball.arm.simulation.robot
+    names = list(ball.sockets)
+    at_random = session(campaign, robot, None)
+    at_random._ahead = lambda: []  # type: ignore[method-assign]
+    random = []
+    for _ in range(FLOOR_ROWS):
+        name = str(rng.choice(names))
+        fed(at_random, ball, ball.anywhere(name, rng), name)
+        random.append(error(at_random, ball))
+    tolerance = 2.0 * random[-1]
+    now = session(campaign, robot, tolerance)
+    events: list[object] = list(now.taken([]))
+    led: list[float] = []
+    stop, within = 0, False
+    while len(led) < MOST_ROWS:
+        following = events[-1]
+        if isinstance(following, Stop):
+            stop, within = len(led), led[-1] <= tolerance
+            break
+        assert isinstance(following, Next)
+        if following.joints:
+            name = following.labels["point"]
+            q = ball.touch(np.array(list(following.joints.values())), name)
+            if q is None:
+                events = list(now.reject())
+                continue
+        else:
+            name = names[len(led) // 3 % len(names)]
+            q = ball.anywhere(name, rng)
+        events = fed(now, ball, q, name)
+        led.append(error(now, ball))
+    return random[-1], until(led, tolerance), until(random, tolerance), stop, float(within)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("draws", type=int, nargs="?", default=3)
+    parser.add_argument("--first", type=int, default=0, metavar="SEED")
+    parser.add_argument("--arm", choices=list(ARMS), action="append")
+    arguments = parser.parse_args()
+    print("arm     floor mm  guided  random  /random  stopped at  truth within", flush=True)
+    for arm in arguments.arm or ARMS:
+        figures = []
+        for seed in range(arguments.first, arguments.first + arguments.draws):
+            with tempfile.TemporaryDirectory() as name:
+                figures.append(draw(Path(name), arm, seed))
+        every = np.array(figures)
+        floor, guided, random, stop, _ = np.median(every, axis=0)
+        stopped = int(np.sum(every[:, 3] > 0))
+        print(
+            f"{arm:7s} {1e3 * floor:8.3f} {guided:7.0f} {random:7.0f} {np.median(every[:, 1] / every[:, 2]):8.2f} {stop:11.0f} "
+            f"{int(every[:, 4].sum()):6d} of {stopped}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
