@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.jobs.guide.posterior import Posterior, configurations, inverse
-from aridcal.jobs.plan.configurations import Candidates, allowed, ends
-from aridcal.jobs.plan.information import CandidateInformation, stack_by_candidate, target_columns, whitened
+from aridcal.jobs.guide.posterior import Posterior, configurations, inverse, region_columns
+from aridcal.jobs.plan.configurations import Candidates, allowed
+from aridcal.jobs.plan.information import stack_by_candidate, whitened
 from aridcal.jobs.plan.row_exchange import RowChoice, gain_of_rows, rms_sigma, updated
 
 PLACES = 100
@@ -61,17 +61,9 @@ def pool(posterior: Posterior, candidates: Candidates, region: np.ndarray, here:
     if here is not None:
         candidates = replace(candidates, sides=np.where(candidates.readings >= here, 1.0, -1.0))
     rows = stack_by_candidate(whitened(posterior.setup, candidates), candidates)
-    target = region_columns(posterior, region)[:, :3]
+    target = region_columns(posterior.setup, posterior.things, region)[:, :3]
     ones = np.ones(len(target))
     return Pool(candidates, RowChoice(rows, posterior.information, target, ones, posterior.things, "A"))
-
-
-def region_columns(posterior: Posterior, region: np.ndarray) -> np.ndarray:
-    """How each target moves and turns with the unknowns at places of the region, shape (R, 6, D)."""
-    setup, things = posterior.setup, posterior.things
-    every = tuple(range(len(setup.theta)))
-    unknowns = CandidateInformation(np.zeros(0), np.zeros(0), np.zeros(0), things, every, np.zeros(0))
-    return np.concatenate([target_columns(setup, unknowns, region, k, turns=True) for k in ends(setup)])
 
 
 def worth(some: Pool, posterior: Posterior) -> np.ndarray:

@@ -16,12 +16,13 @@ from functools import cached_property
 
 import numpy as np
 
-from aridcal.engine.corrections.effect import ANGULAR, MOUNTING_FRAMES, Coefficient
+from aridcal.engine.corrections.effect import ANGULAR, FRAME_COMPONENTS, MOUNTING_FRAMES, Coefficient
 from aridcal.engine.fit.constants import constants, frame_coefficients, station_labels
 from aridcal.engine.fit.least_squares import NUMBERS_THAT_TELL_NOISE, fit
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import REACH_ANGLE, REACH_LENGTH
+from aridcal.engine.inverse.reachable import draw_readings
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.predictions import merged_instruments
 from aridcal.engine.robot.chain import Robot
@@ -30,8 +31,8 @@ from aridcal.engine.rows.dataset import Dataset, with_sigma
 from aridcal.engine.search.loop import fit_constants
 from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.files.campaign import Campaign
-from aridcal.jobs.plan.configurations import Candidates, draw_candidates
-from aridcal.jobs.plan.information import columns_of, expected_rows
+from aridcal.jobs.plan.configurations import Candidates, draw_candidates, ends
+from aridcal.jobs.plan.information import CandidateInformation, columns_of, expected_rows, target_columns
 from aridcal.jobs.plan.prior_knowledge import PlanSetup, from_fit, patterns_of
 from aridcal.jobs.plan.usual_effects import with_stated_effects, with_usual_effects
 from aridcal.system.errors import AridcalError, NotOfThisRobot
@@ -163,10 +164,18 @@ def before_rows(setup: PlanSetup) -> Posterior:
     return Posterior(setup, base, information + held(setup, poses, information), np.zeros(D), 0.0, poses)
 
 
-def held(setup: PlanSetup, poses: Candidates | None, beforehand: np.ndarray) -> np.ndarray:
-    """Information that holds what no row tells, shape (D, D): axes of the base or of a tip, which nothing defines.
+def region_columns(setup: PlanSetup, things: int, region: np.ndarray) -> np.ndarray:
+    """How each target moves and turns with the unknowns at places of the region, shape (R, 6, D)."""
+    every = tuple(range(len(setup.theta)))
+    unknowns = CandidateInformation(np.zeros(0), np.zeros(0), np.zeros(0), things, every, np.zeros(0))
+    return np.concatenate([target_columns(setup, unknowns, region, k, turns=True) for k in ends(setup)])
 
-    Without it such combinations count as errors of the target, as large as what is expected of the constants in them.
+
+def held(setup: PlanSetup, poses: Candidates | None, beforehand: np.ndarray) -> np.ndarray:
+    """Information that holds the axes of the base and of a tip, where no row tells them and nothing defines them, shape (D, D).
+
+    Without it such combinations count as errors of the target, as large as what is expected of the constants in them. What no
+    row tells and moves the target otherwise, as the size of an arm where no length is known, is an error and stays one.
 
     Args:
         setup: K coefficients.
@@ -184,10 +193,37 @@ def held(setup: PlanSetup, poses: Candidates | None, beforehand: np.ndarray) -> 
     stepped = [things + k for k, c in enumerate(setup.model.coefficients) if c.basis.form == "step"]
     lasting = np.setdiff1d(np.arange(len(std)), stepped)
     _, s, Vt = np.linalg.svd(rows[:, lasting] * std[lasting], full_matrices=True)
-    untold = Vt[np.flatnonzero(np.pad(s, (0, len(lasting) - len(s))) < UNTOLD_SHARE)] / std[lasting]
+    untold = Vt[np.flatnonzero(np.pad(s, (0, len(lasting) - len(s))) < UNTOLD_SHARE)]
+    untold = _as_one_body(setup, untold, std, lasting) / std[lasting]
     information = np.zeros_like(beforehand)
     information[np.ix_(lasting, lasting)] = HELD**2 * untold.T @ untold
     return information
+
+
+def _as_one_body(setup: PlanSetup, untold: np.ndarray, std: np.ndarray, lasting: np.ndarray) -> np.ndarray:
+    """Combinations of unknowns, each by what is expected of it, that leave the target or move all its places as one body.
+
+    Args:
+        setup: K coefficients.
+        untold: Orthonormal, shape (k, n).
+        std: What is expected of each unknown, shape (D,).
+        lasting: The n unknowns that they are made of.
+
+    Returns:
+        Shape (j, n).
+    """
+    model = setup.model
+    places = draw_readings(model.robot, SHOWN_BY, np.random.default_rng(0))
+    moves = region_columns(setup, len(std) - len(setup.theta), places)[:, :3] * std
+    moves = moves[:, :, lasting].reshape(-1, len(lasting)) @ untold.T
+    base = tuple(Coefficient("world_base", component) for component in FRAME_COMPONENTS)
+    of_base = region_columns(replace(setup, model=model.with_coefficients(base), theta=np.zeros(len(base))), 0, places)[
+        :, :3
+    ]
+    B = of_base.reshape(-1, len(base))
+    bent = moves - B @ np.linalg.lstsq(B, moves, rcond=None)[0]
+    _, s, Vt = np.linalg.svd(bent)
+    return np.asarray(Vt[np.pad(s, (0, len(Vt) - len(s))) < UNTOLD_SHARE * np.linalg.norm(moves)] @ untold)
 
 
 def begun(campaign: Campaign, robot: Robot, around: Bodies, prior: PlanSetup | None, rows: Dataset) -> PlanSetup | None:

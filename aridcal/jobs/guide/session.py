@@ -89,6 +89,13 @@ CHECKS = 5
 """Poses that check a calibration."""
 
 
+NO_LENGTH = (
+    "; no length is known, so that nothing tells how large the arm is: measure how far two of the points are apart, and state it "
+    "under `instruments.lengths`"
+)
+"""What touches lack where nobody says where the points are."""
+
+
 @dataclass
 class Session:
     """What has been measured so far, and what is said to it; it is changed by :meth:`taken`.
@@ -112,6 +119,8 @@ class Session:
         drawn_with: Whether frames were known then.
         repeated_at: Rows in use when a pose was last measured again.
         rejected: Poses that the user does not want now.
+        sought: Point that the user was asked to bring the arm to; "" if none.
+        passed_over: Points to which the arm cannot be brought.
         proposed: The last pose that was proposed.
         suspect: Line of a row that is off, to be settled by the next one.
         slips: Line of the first row after each slip, and the frames that may have moved.
@@ -138,6 +147,8 @@ class Session:
     drawn_at: int = 0
     repeated_at: int = 0
     rejected: tuple[np.ndarray, ...] = ()
+    sought: str = ""
+    passed_over: set[str] = field(default_factory=set)
     suspect: int | None = None
     slips: tuple[tuple[int, tuple[str, ...]], ...] = ()
     off: set[int] = field(default_factory=set)
@@ -168,6 +179,7 @@ class Session:
                 events += self._row(k)
             events += self._afterwards(new)
             self.rejected = ()
+            self.sought = ""
         return [*events, *self._ahead()]
 
     def _row(self, k: int) -> list[Event]:
@@ -485,6 +497,7 @@ class Session:
             self.good.get(int(k)) for k in self.read.index[~self._knows()]
         ):  # with what is new the model begins anew
             before, self.posterior = self.posterior, None
+            self.candidates = None  # those so far are not of what is new
             self._begin(0)
             self.posterior = self.posterior or before
         self._fit()
@@ -577,7 +590,7 @@ class Session:
         count = sum(self.good.values())
         if self.posterior is None:
             return Known(count, np.inf, np.inf)
-        moves = region_columns(self.posterior, self.region)
+        moves = region_columns(self.posterior.setup, self.posterior.things, self.region)
         off = left_out(self.posterior)
 
         def position(covariance: np.ndarray, beside: Beside, share: float) -> float:
@@ -637,10 +650,37 @@ class Session:
         coming = ahead(some, self.posterior)
         known = self.known(coming)
         enough = self._enough(known, gain_ahead(some, self.posterior, coming)) if self.suspect is None else None
-        if enough:
+        untouched = self._untouched() if self.suspect is None else None
+        if enough and (enough[0] == "tolerance" or untouched is None):
             self.stopped = True
             return [known, Stop(*enough, known, self.checks())]
-        return [known, self._next(now, some)]
+        return [known, self._next(now, some) if untouched is None else self._by_hand(*untouched)]
+
+    def _untouched(self) -> tuple[str, str] | None:
+        """A point of which nobody knows yet where it is, and the one whose distance from it the campaign states; None: all are.
+
+        Without its rows the distance says nothing, and distances are all that sockets tell of an arm's size.
+        """
+        assert self.posterior is not None
+        if not self.campaign.measurements.traits.touches:
+            return None
+        known = {label for title in offers(self.posterior.setup).titles for label in title.values()} | self.passed_over
+        pairs = [length.between for length in self.campaign.instruments.lengths]
+        ends = [ends for one, two in pairs for ends in ((one, two), (two, one)) if ends[0] not in known]
+        return min(ends, key=lambda pair: pair[1] not in known, default=None)
+
+    def _by_hand(self, point: str, other: str) -> Next:
+        """A touch of a point that only the user can find."""
+        self.sought = point
+        column = column_of(
+            self.campaign.measurements.traits.roles[0].name, self.campaign.measurements, self.robot.readings
+        )
+        return Next(
+            {},
+            f"bring the arm to {point} yourself: nobody knows yet where it is, and the campaign states how far it is from "
+            f"{other}; poses there are proposed from then on (reject: it cannot be had)",
+            {column: point},
+        )
 
     def _anywhere(self) -> Next:
         """What to measure while nobody knows where anything is: the user's own choice of pose."""
@@ -667,9 +707,15 @@ class Session:
             )
             return "nothing to gain", (
                 f"ten more rows would make the target less than {100 * HARDLY:.0f} % better known: it is within "
-                f"{1e3 * known.position:.3g} mm{beyond}"
+                f"{1e3 * known.position:.3g} mm{beyond}{NO_LENGTH if self._lacks_length else ''}"
             )
         return None
+
+    @property
+    def _lacks_length(self) -> bool:
+        """Whether nothing says how large the arm is: touches of points whose places and distances nobody knows."""
+        instruments = self.campaign.instruments
+        return self.campaign.measurements.traits.touches and self.prior is None and not instruments.lengths
 
     def asked(self) -> list[Event]:
         """The stop that the user asked for."""
@@ -678,7 +724,10 @@ class Session:
 
     def reject(self) -> list[Event]:
         """Another pose in place of the last one that was proposed."""
-        if self.proposed is not None:
+        if self.sought:
+            self.passed_over.add(self.sought)
+            self.sought = ""
+        elif self.proposed is not None:
             self.rejected = (*self.rejected, self.proposed)
         self.suspect = None
         self.repeated_at = sum(self.good.values())

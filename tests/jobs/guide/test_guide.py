@@ -9,12 +9,14 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import aridcal
 from aridcal.engine.model.model import Model
@@ -25,6 +27,7 @@ from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop
 from aridcal.jobs.guide.growing_table import GrowingTable
 from aridcal.jobs.guide.judgement import beside_others, exceeded
 from aridcal.jobs.guide.session import Session, session
+from aridcal.jobs.plan.configurations import offers
 from aridcal.jobs.simulate.live import LiveArm, live_arm
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate
@@ -374,3 +377,67 @@ def test_points_of_which_nobody_says_where_they_are_are_found_and_then_proposed(
     for pose in proposed:
         _, p = model.poses(np.zeros(0), model.rows(np.array([[*pose.joints.values()]])))
         assert np.linalg.norm(p[0] - real[pose.labels["point"]]) < 3e-3
+
+
+def test_a_point_that_only_a_length_names_is_asked_for_by_hand_until_it_is_touched_or_refused(tmp_path: Path) -> None:
+    """Touched, it may be proposed like the others; refused, it is not asked for again, and rows go on."""
+    (tmp_path / "scara.urdf").write_text(SCARA)
+    places = {"a": [0.4, 0.2, 0.25], "b": [0.3, -0.3, 0.2], "c": [0.45, 0.1, 0.3], "d": [0.35, 0.3, 0.22]}
+    apart = float(np.linalg.norm(np.subtract(places["c"], places["d"])))
+    length = f"instruments: {{lengths: [{{between: [c, d], length: {apart}, std: 1.0e-5}}]}}\n"
+    (tmp_path / "campaign.yaml").write_text(
+        SOCKETS.replace("kind: point", "file: measurements.csv, kind: point") + length
+    )
+    truth = f"truth: {{n: 40, seed: 1, noise: {{position: 5.0e-5}}, instruments: {{points: {json.dumps(places)}}}}}\n"
+    (tmp_path / "scenario.yaml").write_text(SOCKETS + truth)
+    table = simulate(load_settings(tmp_path / "scenario.yaml", Scenario)).measurements
+    head, *lines = table[table["point"] != "d"].to_csv(index=False).encode().splitlines()
+
+    now = begun(tmp_path)
+    now.table.add(head)
+    asked: Event | None = None
+    for line in lines[:12]:
+        asked = now.taken(now.table.add(line))[-1]
+    assert isinstance(asked, Next)
+    assert (asked.joints, asked.labels) == ({}, {"point": "d"})
+
+    refused = deepcopy(now)
+    assert refused.reject()[-1].document()["joints"]
+    said = refused.taken(refused.table.add(lines[12]))
+    assert not isinstance(said[-1], Next) or said[-1].joints
+
+    touch = table[table["point"] == "d"][:1].to_csv(index=False).encode().splitlines()[1]
+    said = now.taken(now.table.add(touch))
+    assert now.posterior is not None and alarms(said) == []
+    assert {"point": "d"} in offers(now.posterior.setup).titles
+    assert not isinstance(said[-1], Next) or said[-1].joints
+
+
+def test_without_a_length_an_arm_that_is_larger_than_designed_is_not_said_to_be_known(tmp_path: Path) -> None:
+    """The attack: an arm enlarged as a whole, whose touches the nominal one explains. Its error is then that of its size."""
+    larger = 1.008
+    (tmp_path / "scara.urdf").write_text(SCARA)
+    (tmp_path / "campaign.yaml").write_text(SOCKETS.replace("kind: point", "file: measurements.csv, kind: point"))
+    places = {"a": [0.4, 0.2, 0.25], "b": [0.3, -0.3, 0.2], "c": [0.45, 0.1, 0.3], "d": [0.35, 0.3, 0.22]}
+    truth = {
+        "n": 40,
+        "seed": 1,
+        "noise": {"position": 5e-5},
+        "parameters": {"two.x": 0.325 * (larger - 1.0), "lift.x": 0.275 * (larger - 1.0)},
+        "instruments": {"points": places},
+    }
+    (tmp_path / "scenario.yaml").write_text(SOCKETS + yaml.safe_dump({"truth": truth}))
+    simulation = simulate(load_settings(tmp_path / "scenario.yaml", Scenario))
+    head, *lines = simulation.measurements.to_csv(index=False).encode().splitlines()
+    now = begun(tmp_path)
+    now.table.add(head)
+    said = now.taken([now.table.add(line)[0] for line in lines])
+    stop = said[-1]
+    assert isinstance(stop, Stop)
+    assert "instruments.lengths" in stop.words
+    # What a robot enlarged about its base is off by, over the region, wherever its base is laid.
+    _, p = Model(now.robot, (), tip_target=((None, simulation.frames["tip_target"]),)).poses(
+        np.zeros(0), Model(now.robot, ()).rows(now.region)
+    )
+    off = float(np.quantile(np.linalg.norm((larger - 1.0) * (p - p.mean(axis=0)), axis=1), 0.95))
+    assert 1e-3 < off < stop.known.position
