@@ -154,7 +154,7 @@ def _append(path: Path, line: str) -> None:
 def to_calibrate(session: Session) -> Campaign:
     """The campaign that the full search is for: the rows in use, and what they show, slips among it, as declared effects.
 
-    Where the table holds exactly these rows it is that table; else a table beside it, ``NAME.good.csv``, holds them.
+    Lengths to points that could not be touched are left out: no row refers to these. Where the table holds exactly these rows it is that table; else a table beside it, ``NAME.good.csv``, holds them.
 
     Raises:
         OutputError: that cannot be written.
@@ -175,7 +175,9 @@ def to_calibrate(session: Session) -> Campaign:
         line = next((table.first + number[k] for k in sorted(number) if k >= first), None)
         shifts += [EffectDeclaration(kind="shift", where=where, at=Moment(row=line)) for where in frames if line]
     shown = () if session.posterior is None or campaign.effects else shown_effects(session.posterior)
-    return campaign.model_copy(update={"effects": (*campaign.effects, *shown, *shifts)})
+    lengths = tuple(length for length in campaign.instruments.lengths if not session.passed_over & set(length.between))
+    instruments = campaign.instruments.model_copy(update={"lengths": lengths})
+    return campaign.model_copy(update={"effects": (*campaign.effects, *shown, *shifts), "instruments": instruments})
 
 
 def calibrated(session: Session, out: Path, progress: Progress) -> None:

@@ -177,6 +177,7 @@ class Session:
             self.suspect = None
             for k in new:
                 events += self._row(k)
+            self.passed_over -= self._labels()
             events += self._afterwards(new)
             self.rejected = ()
             self.sought = ""
@@ -668,6 +669,10 @@ class Session:
         pairs = [length.between for length in self.campaign.instruments.lengths]
         ends = [ends for one, two in pairs for ends in ((one, two), (two, one)) if ends[0] not in known]
         return min(ends, key=lambda pair: pair[1] not in known, default=None)
+
+    def _labels(self) -> set[str]:
+        """Points that rows refer to."""
+        return set() if self.read.rows is None else set(self.read.rows.labels.refers.ravel().tolist())
 
     def _by_hand(self, point: str, other: str) -> Next:
         """A touch of a point that only the user can find."""

@@ -32,7 +32,7 @@ from aridcal.jobs.simulate.live import LiveArm, live_arm
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate
 from aridcal.runs.guide_server import Board, GuideServer
-from aridcal.runs.guided_campaign import Incoming
+from aridcal.runs.guided_campaign import Incoming, to_calibrate
 
 SCARA = """<robot name="scara"><link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="tool"/>
 <joint name="one" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 0.4"/><axis xyz="0 0 1"/>
@@ -405,6 +405,10 @@ def test_a_point_that_only_a_length_names_is_asked_for_by_hand_until_it_is_touch
     assert refused.reject()[-1].document()["joints"]
     said = refused.taken(refused.table.add(lines[12]))
     assert not isinstance(said[-1], Next) or said[-1].joints
+    # The campaign's own length to it would be an error of `identify`, after all is measured.
+    refused.campaign.measurements.files[0].write_bytes(b"\n".join([head, *lines[:13], b""]))
+    assert to_calibrate(refused).instruments.lengths == ()
+    assert to_calibrate(now).instruments.lengths == now.campaign.instruments.lengths
 
     touch = table[table["point"] == "d"][:1].to_csv(index=False).encode().splitlines()[1]
     said = now.taken(now.table.add(touch))
