@@ -154,7 +154,8 @@ def _append(path: Path, line: str) -> None:
 def to_calibrate(session: Session) -> Campaign:
     """The campaign that the full search is for: the rows in use, and what they show, slips among it, as declared effects.
 
-    Lengths to points that could not be touched are left out: no row refers to these. Where the table holds exactly these rows it is that table; else a table beside it, ``NAME.good.csv``, holds them.
+    Where the table holds exactly these rows it is that table; else a table beside it, ``NAME.good.csv``, holds them. Lengths to
+    points that could not be touched are left out: no row refers to these.
 
     Raises:
         OutputError: that cannot be written.
