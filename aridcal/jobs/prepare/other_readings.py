@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,12 +26,9 @@ from aridcal.files.measurement_settings import ANGLES, JointColumn, MeasurementS
 from aridcal.files.orientations import QUATERNION, column_of
 from aridcal.files.quantities import POSITION_COLUMNS, STD
 from aridcal.files.read import load_measurements
-from aridcal.files.tables import read_tables
+from aridcal.files.tables import Table, read_tables
 from aridcal.jobs.prepare.units_and_angles import TRIED_LENGTHS, rounded
 from aridcal.system.errors import AridcalError, NotOfThisRobot
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # Rows on which readings are tried, and that judge a proposal; more make no clearer verdict.
 SAMPLE_ROWS = 150
@@ -79,7 +76,7 @@ class OtherReading:
     what: str
     remedy: str
     settings: MeasurementSettings
-    table: pd.DataFrame
+    table: Table
     doubt: float = 1.0
 
 
@@ -194,7 +191,7 @@ def _far_less(
     return by_constants or by_frames
 
 
-def _sample(campaign: Campaign, train: Dataset) -> pd.DataFrame:
+def _sample(campaign: Campaign, train: Dataset) -> Table:
     """Some training rows as they stand in the tables."""
     settings = campaign.measurements
     joints = [settings.columns.get(name, name) for name in train.names] if campaign.has_other_tables else None
@@ -206,21 +203,19 @@ def _sample(campaign: Campaign, train: Dataset) -> pd.DataFrame:
     chosen = np.random.default_rng(0).permutation(rows)[:SAMPLE_ROWS]
     frame = table.frame().iloc[np.sort(chosen)].reset_index(drop=True)
     split = campaign.measurements.columns.get("split", "split")
-    return frame.assign(**{split: "train"})
+    return read_tables([frame.assign(**{split: "train"})])
 
 
-def _rows(
-    campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: pd.DataFrame
-) -> tuple[Campaign, Dataset]:
+def _rows(campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: Table) -> tuple[Campaign, Dataset]:
     """The sample as other settings read it."""
     changed = campaign.model_copy(update={"measurements": settings})
     return changed, load_measurements(
-        changed, robot.readings, robot.limits, robot.kinds, robot=robot, files=[table], fitted=False
+        changed, robot.readings, robot.limits, robot.kinds, robot=robot, read=table, fitted=False
     )  # fmt: skip
 
 
 def _nominal(
-    campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: pd.DataFrame, labels: tuple[str, ...]
+    campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: Table, labels: tuple[str, ...]
 ) -> ReadingResidual | None:
     """What frames alone leave of a reading; None: it cannot be read so."""
     try:
@@ -231,7 +226,7 @@ def _nominal(
 
 
 def _geometric(
-    campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: pd.DataFrame, labels: tuple[str, ...]
+    campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: Table, labels: tuple[str, ...]
 ) -> ReadingResidual | None:
     """What frames and constants leave of a reading; None: it cannot be read so."""
     try:
@@ -243,7 +238,7 @@ def _geometric(
 
 
 def _fit_of_campaign(
-    campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: pd.DataFrame, labels: tuple[str, ...]
+    campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: Table, labels: tuple[str, ...]
 ) -> tuple[ReadingResidual, ReadingResidual | None] | None:
     """Both stages of the campaign's own reading, the second None where constants cannot be fitted; None: neither can."""
     nominal = _nominal(campaign, robot, settings, table, labels)
@@ -256,7 +251,7 @@ def _spread(rows: Dataset) -> float:
     return float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
 
 
-def _other_ways(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[OtherReading]:
+def _other_ways(settings: MeasurementSettings, robot: Robot, table: Table) -> Iterator[OtherReading]:
     """Every other reading that differs from the campaign's by one slip."""
     if settings.traits.oriented:
         yield from _orientations(settings, robot, table)
@@ -264,7 +259,7 @@ def _other_ways(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame
     yield from _joints(settings, robot, table)
 
 
-def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[OtherReading]:
+def _orientations(settings: MeasurementSettings, robot: Robot, table: Table) -> Iterator[OtherReading]:
     """Other orders of quaternions, other writings of angles, and poses the other way round."""
     angles = settings.orientation.angles
     if angles is None and settings.orientation.matrix is None:
@@ -283,7 +278,7 @@ def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFra
             spec = {"euler": None, "columns": None, "rotvec": tuple(names)}
             key = f"orientation: {{rotvec: [{', '.join(names)}]}}"
             yield OtherReading("rotation vectors", _write(key), _oriented(settings, spec), table)
-    std_columns = {column_of(name, settings, robot.readings) for name in STD} & set(table)
+    std_columns = {column_of(name, settings, robot.readings) for name in STD} & set(table.names)
     for what, inverted in TURNED_BACK.items():
         if inverted != settings.inverted:
             noise = settings.noise.model_copy(
@@ -298,7 +293,7 @@ def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFra
             yield OtherReading(what, remedy, changed, table)
 
 
-def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[OtherReading]:
+def _units(settings: MeasurementSettings, robot: Robot, table: Table) -> Iterator[OtherReading]:
     """Other units of all lengths, of all angles, and of the positions alone where joints slide."""
     for unit in TRIED_LENGTHS:
         if unit != settings.units.length:
@@ -317,7 +312,7 @@ def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> 
     yield OtherReading(f"angles in {UNITS_IN_WORDS[unit]}", _write(f"units: {{angle: {unit}}}"), changed, table)
 
 
-def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[OtherReading]:
+def _joints(settings: MeasurementSettings, robot: Robot, table: Table) -> Iterator[OtherReading]:
     """One joint with the other sign, another zero or in another unit, and two exchanged."""
     columns = {name: settings.columns.get(name, name) for name in robot.readings}
     for (joint, column), kind in zip(columns.items(), robot.kinds, strict=True):
@@ -337,7 +332,7 @@ def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) ->
         yield OtherReading(f"{one} and {two} exchanged", remedy, _with(settings, columns=mapped), table)
 
 
-def _zeros(settings: MeasurementSettings, joint: str, table: pd.DataFrame) -> Iterator[OtherReading]:
+def _zeros(settings: MeasurementSettings, joint: str, table: Table) -> Iterator[OtherReading]:
     """A joint that counts from another quarter of a turn, or that way and backwards, as controllers and URDFs often differ."""
     for sign, how in ((1, ""), (-1, " and the other sign")):
         for turns in (1, -1, 2):
@@ -348,7 +343,7 @@ def _zeros(settings: MeasurementSettings, joint: str, table: pd.DataFrame) -> It
 
 
 def _with_count(
-    what: str, joint: str, sign: int, turns: int, settings: MeasurementSettings, table: pd.DataFrame, doubt: float = 1.0
+    what: str, joint: str, sign: int, turns: int, settings: MeasurementSettings, table: Table, doubt: float = 1.0
 ) -> OtherReading:
     """A joint whose reading is ``sign`` times the campaign's plus ``turns`` quarters of a turn."""
     before = settings.joints.get(joint, JointColumn())
@@ -363,7 +358,7 @@ def _with_count(
     return OtherReading(what, _write(f"joints: {{{joint}: {_braces(keys)}}}"), changed, table, doubt)
 
 
-def _columns_in(what: str, units: dict[str, str], settings: MeasurementSettings, table: pd.DataFrame) -> OtherReading:
+def _columns_in(what: str, units: dict[str, str], settings: MeasurementSettings, table: Table) -> OtherReading:
     """Single columns in another unit."""
     units_changed = settings.units.model_copy(update={"columns": {**settings.units.columns, **units}})
     return OtherReading(
