@@ -40,7 +40,7 @@ from aridcal.files.things import (
 )
 from aridcal.system.errors import CampaignError, MeasurementError, name_list, nearest, shortened
 from aridcal.system.reading.dates import DAY, NIGHTS, unrolled
-from aridcal.system.reading.memory_release import give_back
+from aridcal.system.reading.memory_release import give_back_of
 
 if TYPE_CHECKING:
     from aridcal.files.tables import AnyTable, Table
@@ -165,7 +165,7 @@ def _check_masses(rows: Dataset, campaign: Campaign) -> None:
 def _block(request: _Request, number: int, tables: Sequence[AnyTable]) -> _Part:
     """Read the tables of one block of the campaign, which is told by its number."""
     rows, chosen, noise = _read(request, number, tables)
-    give_back()  # memory of the table's cells, which are larger than the rows
+    give_back_of(len(rows))  # memory of the table's cells, which are larger than the rows
     rows = rows.select(chosen)  # frees the rows in the order of the table
     rows = rows.with_repeats(configuration=blocks(rows.readings, request.kinds))
     if not rows.origin.split_given:

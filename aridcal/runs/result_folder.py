@@ -73,20 +73,21 @@ def write_folder(
     from aridcal.pages.certificate import write_certificate
     from aridcal.pages.drawing.scene import write_scene
     from aridcal.pages.report.page import write_report
-    from aridcal.system.reading.memory_release import give_back
+    from aridcal.system.reading.memory_release import give_back_of
 
-    give_back()
+    rows = len(outcome.measurements)
+    give_back_of(rows)
     with atomic_folder(folder, RESULT_FILES | RESULT_FOLDERS) as stage:
         progress("writing figures and tables")
         notices_read = write_results(outcome, stage, progress)
         progress("working out what controllers can be given")
-        give_back()
+        give_back_of(rows)
         handover = controller_exports(outcome)
         write_controllers(outcome, handover, stage)
         progress("drawing the scene")
         notices = write_scene(outcome, stage / "scene.html")
         notices += write_certificate(outcome, stage, datetime.date.today())
-        give_back()
+        give_back_of(rows)
         progress("drawing the report")  # last, for it links to what is there
         notices = notices_read + write_report(outcome, handover, stage / "report.html", progress) + notices
         for name, text in beside.items():

@@ -31,7 +31,7 @@ from aridcal.jobs.calibrate.outcome import Outcome, Stage, Verification, errors
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.calibrate.urdf_files import write_calibrated, write_urdf
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.memory_release import give_back
+from aridcal.system.reading.memory_release import give_back_of
 from aridcal.system.writing.table_writer import csv_lines
 
 if TYPE_CHECKING:
@@ -53,7 +53,9 @@ def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -
         Notices on parts of the user's own URDF that readers of URDFs cannot read.
     """
     (folder / "result.json").write_text(json.dumps(result_document(outcome), indent=2, allow_nan=False) + "\n")
-    give_back()  # memory of the figures: the scatter over all rows below needs as much again
+    give_back_of(
+        len(outcome.measurements)
+    )  # memory of the figures: the scatter over all rows below needs as much again
     geometric, final = outcome.stage("geometric").fit, outcome.stage("final").fit
     notices = list(write_calibrated(folder, geometric.model, geometric.theta))
     if outcome.effects:

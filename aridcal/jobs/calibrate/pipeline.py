@@ -59,7 +59,7 @@ from aridcal.jobs.calibrate.verdict import Verdict, decide, row_clues
 from aridcal.jobs.head1992.observations import Detections
 from aridcal.system.errors import MeasurementError, NotOfThisRobot
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.memory_release import give_back
+from aridcal.system.reading.memory_release import give_back_of
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 """Gets the rows and the fit of frames and constants, None if there is none; may refuse the rows and say why."""
@@ -169,7 +169,7 @@ def _calibrated(
         raise
     judge(campaign, robot, rows, geometry)
     where = region(campaign, geometry.geometric, rows.fitted)
-    give_back()
+    give_back_of(len(rows))
     return calibrated_arm(question, robot, rows, labels, geometry, progress), where
 
 
@@ -184,8 +184,8 @@ def _outcome(
 ) -> Outcome:
     """Score every stage of a calibrated arm, and examine what remains."""
     progress("scoring")
-    give_back()  # what the fits took: here and below the most memory is wanted
     rows, diagnosed = arm.rows, arm.diagnosed
+    give_back_of(len(rows))  # what the fits took: here and below the most memory is wanted
     train = rows.fitted
     judgement = judge_arm(arm, progress)
     stages, outlier, final = judgement.stages, judgement.outlier, judgement.stages[-1].fit
@@ -195,14 +195,14 @@ def _outcome(
     look = second_look(stages[1].fit, diagnosed.fit, train, progress)
     constants = constants_of_question(campaign.question, robot, rows)
     progress("working out how well the target is known")
-    give_back()
+    give_back_of(len(rows))
     certain = certainty(
         requirement(campaign), final, rows, constants, where, outlier, stages[-1].residual, judgement.repeats
     )
     stages = refit_with_final_instruments(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
     known_to = precision(final, train)
-    give_back()
+    give_back_of(len(rows))
     return Outcome(
         campaign=campaign,
         robot=robot,

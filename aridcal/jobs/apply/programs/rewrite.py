@@ -217,7 +217,7 @@ def _corrected(
     del reading, targets, marks  # a long program has too many to keep them while the new text is read
     if count > LONG_PROGRAM:
         gc.collect()  # of what was made of the text some parts hold each other
-    give_back()
+        give_back()
     texts = corrected(language, loaded.project, cell, expected, new)
     named = corrections.named([target for part in expected for target in part.named()])
     return (*notes, *([hint] if hint else [])), named, texts
