@@ -85,7 +85,7 @@ def pytest_collection() -> None:
 def pytest_collection_finish() -> None:
     """Nor does any later one; what collecting left over is little, and to look for it takes a second."""
     gc.freeze()
-    gc.set_threshold(700, 10, 100)  # whole collections ten times rarer: they take more than one per cent of the suite's time
+    gc.set_threshold(700, 10, 100)  # whole collections ten times rarer: they take a hundredth of the suite's time
     gc.enable()
 
 
