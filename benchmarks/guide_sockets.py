@@ -5,10 +5,10 @@
 
 The machines are those of ``guide.py``. Six sockets stand anywhere in reach, in three pairs whose lengths are known to 0.01 mm;
 their places are not known. A touch is the joints that hold the ball of the true machine in a socket, noise of 0.05 mm in it.
-Random touches are of a random socket from random joints. What is led begins with nine of these, three of each of three
-sockets, as nothing can be proposed before. Sockets do not tell where the base is: errors are those of the target's place at
-95 % of the region once the two are laid over each other. The floor is what is left after 200 random touches; judged as in
-``guide.py``: rows from which on the error stays within twice the floor, and the truth at the stop.
+Random touches are of a random socket from random joints. What is led begins with three touches each of one socket after the
+other until poses are proposed; a socket that is then asked for is touched once. Sockets do not tell where the base is: errors are
+those of the target's place at 95 % of the region once the two are laid over each other. The floor is what is left after 200
+random touches; judged as in ``guide.py``: rows from which on the error stays within twice the floor, and the truth at the stop.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def draw(folder: Path, arm: str, seed: int) -> tuple[float, float, float, float,
                 events = list(now.reject())
                 continue
         else:
-            name = names[len(led) // 3 % len(names)]
+            name = following.labels.get("point", names[len(led) // 3 % len(names)])
             q = ball.anywhere(name, rng)
         events = fed(now, ball, q, name)
         led.append(error(now, ball))

@@ -70,7 +70,7 @@ class _Request:
     own_files: bool
     declarations: InstrumentDeclarations
     robot: Robot | None
-    read: Table | None
+    table: Table | None
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def load_measurements(
     seed: int = 0,
     *,
     files: Sequence[AnyTable] | None = None,
-    read: Table | None = None,
+    table: Table | None = None,
     require_pose: bool = True,
     fitted: bool = True,
     robot: Robot | None = None,
@@ -104,7 +104,7 @@ def load_measurements(
         seed: For the split into train and test, where the files have no `split`.
         files: Tables in place of the campaign's own, in the same format; of several blocks each table is of the one whose
             columns it has.
-        read: The rows in place of all files, for a campaign of one block: a table that is read in many ways is cut up once.
+        table: The rows in place of all files, for a campaign of one block: a table that is read in many ways is cut up once.
         require_pose: False for rows that measure something else than the target; then `position` is NaN.
         fitted: False for rows that are scored only: their stations and labels need no training rows.
         robot: Through whose tree rows take paths, where anything that they refer to is on a link of its own.
@@ -114,7 +114,7 @@ def load_measurements(
         MeasurementError: a file cannot be read, lacks columns, is not in the stated units, has two orientations that
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
-    declarations, own_files = instrument_declarations(campaign), files is None and read is None
+    declarations, own_files = instrument_declarations(campaign), files is None and table is None
     robot = robot if campaign.links else None
     request = _Request(
         campaign,
@@ -127,9 +127,9 @@ def load_measurements(
         own_files,
         declarations,
         robot,
-        read,
+        table,
     )
-    of_blocks = _tables_of_blocks(campaign, files) if read is None else [(0, ())]
+    of_blocks = _tables_of_blocks(campaign, files) if table is None else [(0, ())]
     parts = [_block(request, number, tables) for number, tables in of_blocks]
     direct = not require_pose or _direct(campaign, parts[0].rows)
     if not (direct or fitted):
@@ -181,7 +181,7 @@ def _source(request: _Request, number: int, tables: Sequence[AnyTable]) -> Table
     files = _existing(campaign, tables, request.own_files)
     from aridcal.files.tables import read_tables  # slow to load: only where there are tables
 
-    table = request.read
+    table = request.table
     if table is None:
         table = read_tables(files, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
     for name in sorted(set(settings.units.columns) - set(table.cells)) if request.own_files else ():

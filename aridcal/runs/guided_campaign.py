@@ -176,7 +176,9 @@ def to_calibrate(session: Session) -> Campaign:
         line = next((table.first + number[k] for k in sorted(number) if k >= first), None)
         shifts += [EffectDeclaration(kind="shift", where=where, at=Moment(row=line)) for where in frames if line]
     shown = () if session.posterior is None or campaign.effects else shown_effects(session.posterior)
-    lengths = tuple(length for length in campaign.instruments.lengths if not session.passed_over & set(length.between))
+    lengths = tuple(
+        length for length in campaign.instruments.lengths if not session.skipped_points & set(length.between)
+    )
     instruments = campaign.instruments.model_copy(update={"lengths": lengths})
     return campaign.model_copy(update={"effects": (*campaign.effects, *shown, *shifts), "instruments": instruments})
 

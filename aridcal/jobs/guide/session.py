@@ -119,8 +119,8 @@ class Session:
         drawn_with: Whether frames were known then.
         repeated_at: Rows in use when a pose was last measured again.
         rejected: Poses that the user does not want now.
-        sought: Point that the user was asked to bring the arm to; "" if none.
-        passed_over: Points to which the arm cannot be brought.
+        point_by_hand: Point that the user was asked to bring the arm to; "" if none.
+        skipped_points: Points to which the arm cannot be brought.
         proposed: The last pose that was proposed.
         suspect: Line of a row that is off, to be settled by the next one.
         slips: Line of the first row after each slip, and the frames that may have moved.
@@ -147,8 +147,8 @@ class Session:
     drawn_at: int = 0
     repeated_at: int = 0
     rejected: tuple[np.ndarray, ...] = ()
-    sought: str = ""
-    passed_over: set[str] = field(default_factory=set)
+    point_by_hand: str = ""
+    skipped_points: set[str] = field(default_factory=set)
     suspect: int | None = None
     slips: tuple[tuple[int, tuple[str, ...]], ...] = ()
     off: set[int] = field(default_factory=set)
@@ -177,10 +177,10 @@ class Session:
             self.suspect = None
             for k in new:
                 events += self._row(k)
-            self.passed_over -= self._labels()
+            self.skipped_points -= self._labels()
             events += self._afterwards(new)
             self.rejected = ()
-            self.sought = ""
+            self.point_by_hand = ""
         return [*events, *self._ahead()]
 
     def _row(self, k: int) -> list[Event]:
@@ -665,7 +665,9 @@ class Session:
         assert self.posterior is not None
         if not self.campaign.measurements.traits.touches:
             return None
-        known = {label for title in offers(self.posterior.setup).titles for label in title.values()} | self.passed_over
+        known = {
+            label for title in offers(self.posterior.setup).titles for label in title.values()
+        } | self.skipped_points
         pairs = [length.between for length in self.campaign.instruments.lengths]
         ends = [ends for one, two in pairs for ends in ((one, two), (two, one)) if ends[0] not in known]
         return min(ends, key=lambda pair: pair[1] not in known, default=None)
@@ -676,7 +678,7 @@ class Session:
 
     def _by_hand(self, point: str, other: str) -> Next:
         """A touch of a point that only the user can find."""
-        self.sought = point
+        self.point_by_hand = point
         column = column_of(
             self.campaign.measurements.traits.roles[0].name, self.campaign.measurements, self.robot.readings
         )
@@ -729,9 +731,9 @@ class Session:
 
     def reject(self) -> list[Event]:
         """Another pose in place of the last one that was proposed."""
-        if self.sought:
-            self.passed_over.add(self.sought)
-            self.sought = ""
+        if self.point_by_hand:
+            self.skipped_points.add(self.point_by_hand)
+            self.point_by_hand = ""
         elif self.proposed is not None:
             self.rejected = (*self.rejected, self.proposed)
         self.suspect = None

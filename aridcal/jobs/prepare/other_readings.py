@@ -210,7 +210,7 @@ def _rows(campaign: Campaign, robot: Robot, settings: MeasurementSettings, table
     """The sample as other settings read it."""
     changed = campaign.model_copy(update={"measurements": settings})
     return changed, load_measurements(
-        changed, robot.readings, robot.limits, robot.kinds, robot=robot, read=table, fitted=False
+        changed, robot.readings, robot.limits, robot.kinds, robot=robot, table=table, fitted=False
     )  # fmt: skip
 
 
