@@ -84,6 +84,7 @@ def followed(
     """
     (path,) = session.campaign.measurements.files
     seen: tuple[int, ...] = ()
+    stamp: tuple[int, ...] = ()
     from_input = ended = False
     first = True
     while True:
@@ -96,8 +97,9 @@ def followed(
             elif line.strip():
                 _append(path, line)
                 from_input = True
-        stamp = _stamp(path)
-        if stamp != seen:
+        stamp, looked = _stamp(path), stamp
+        growing = session.campaign.measurements.traits.images and stamp != looked  # half an image, perhaps
+        if stamp != seen and not growing:
             content = content_of(path, session.campaign.limits.table)
             new = session.table.take(content) if content is not None else []
             if content is not None:
@@ -111,7 +113,7 @@ def followed(
         for command in commands:
             if not session.stopped:
                 yield session.reject() if command == REJECT else session.asked()
-        if ended and not session.stopped:
+        if ended and not growing and not session.stopped:
             yield session.asked()
         if session.stopped:
             return

@@ -15,21 +15,24 @@ Why = Literal["tolerance", "nothing to gain", "asked"]
 
 @dataclass(frozen=True)
 class RowRead:
-    """A row that was read.
+    """A row that was read, or all rows of an image.
 
     Attributes:
         row: Line of the table; the header is line 1.
         ok: False where it is not used as it stands.
         reasons: What is wrong or odd about it, in words.
+        count: Rows that are judged together, this one and those after it: those of an image.
     """
 
     row: int
     ok: bool
     reasons: tuple[str, ...] = ()
+    count: int = 1
 
     def document(self) -> dict[str, Any]:
         """As plain data."""
-        return {"event": "row", "row": self.row, "ok": self.ok, "reasons": list(self.reasons)}
+        several = {"count": self.count} if self.count > 1 else {}
+        return {"event": "row", "row": self.row, "ok": self.ok, "reasons": list(self.reasons), **several}
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from aridcal.engine.search.loop import fit_constants
 from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.files.campaign import Campaign
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates, ends
-from aridcal.jobs.plan.information import CandidateInformation, columns_of, expected_rows, target_columns
+from aridcal.jobs.plan.information import TOGETHER_RANK, CandidateInformation, columns_of, expected_rows, target_columns
 from aridcal.jobs.plan.prior_knowledge import PlanSetup, from_fit, patterns_of
 from aridcal.jobs.plan.usual_effects import with_stated_effects, with_usual_effects
 from aridcal.system.errors import AridcalError, NotOfThisRobot
@@ -100,9 +100,15 @@ class Posterior:
         """Number of unknowns of things."""
         return len(self.information) - len(self.setup.theta)
 
-    def columns(self, rows: Dataset) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (N, m, D) and residuals (N, m) of rows at the last fit, in sigmas."""
-        return columns_of(self.setup, rows)
+    def columns(self, rows: Dataset, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (n, m, D) and residuals (n, m) of measurements at the last fit, in sigmas.
+
+        Args:
+            rows: M of them.
+            of: Measurement that each belongs to, ascending from 0, shape (M,); several: see :func:`together`.
+        """
+        F, r = columns_of(self.setup, rows)
+        return (F, r) if len(of) == of[-1] + 1 else together(F, r, of)
 
     def with_rows(self, F: np.ndarray, r: np.ndarray, sign: float = 1.0) -> Posterior:
         """The posterior with more rows, columns (n, m, D) and residuals (n, m); or without them (sign -1)."""
@@ -112,6 +118,33 @@ class Posterior:
             information=self.information + sign * flat.T @ flat,
             pull=self.pull + sign * flat.T @ r.ravel(),
         )
+
+
+def together(F: np.ndarray, r: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the same image as one measurement, by as many numbers as its marks move by together: those of a body.
+
+    What the marks scatter by about that is noise of single marks, and says nothing of the shot.
+
+    Args:
+        F: Columns, shape (M, m, D).
+        r: Residuals, shape (M, m).
+        of: Measurement that each belongs to, ascending from 0, shape (M,).
+
+    Returns:
+        Columns (n, p, D) and residuals (n, p), zero where a measurement has fewer numbers.
+    """
+    D = F.shape[2]
+    parts = []
+    for number in range(int(of[-1]) + 1):
+        flat, error = F[of == number].reshape(-1, D), r[of == number].ravel()
+        U, s, Vt = np.linalg.svd(flat, full_matrices=False)
+        rank = int((s > TOGETHER_RANK * s[0]).sum())
+        parts.append((s[:rank, None] * Vt[:rank], U[:, :rank].T @ error))
+    wide = max(len(error) for _, error in parts)
+    columns, residuals = np.zeros((len(parts), wide, D)), np.zeros((len(parts), wide))
+    for number, (part, error) in enumerate(parts):
+        columns[number, : len(error)], residuals[number, : len(error)] = part, error
+    return columns, residuals
 
 
 def inverse(information: np.ndarray) -> np.ndarray:
@@ -148,7 +181,7 @@ _COMPONENTS = ANGULAR | {"x", "y", "z", "a", "d"}
 def configurations(setup: PlanSetup, rng: np.random.Generator) -> Candidates:
     """Configurations that can be measured, to choose from."""
     traits = setup.campaign.measurements.traits
-    return draw_candidates(setup, SMALL_POOL if traits.condition else POOL, 1, rng)
+    return draw_candidates(setup, SMALL_POOL if traits.condition or traits.images else POOL, 1, rng)
 
 
 def before_rows(setup: PlanSetup) -> Posterior:
@@ -192,7 +225,8 @@ def held(setup: PlanSetup, poses: Candidates | None, beforehand: np.ndarray) -> 
     # What stepped at a slip is told by the rows before it, not by those to come.
     stepped = [things + k for k, c in enumerate(setup.model.coefficients) if c.basis.form == "step"]
     lasting = np.setdiff1d(np.arange(len(std)), stepped)
-    _, s, Vt = np.linalg.svd(rows[:, lasting] * std[lasting], full_matrices=True)
+    triangle = np.linalg.qr(rows[:, lasting] * std[lasting], mode="r")  # has their singular values
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=True)
     untold = Vt[np.flatnonzero(np.pad(s, (0, len(lasting) - len(s))) < UNTOLD_SHARE)]
     untold = _as_one_body(setup, untold, std, lasting) / std[lasting]
     information = np.zeros_like(beforehand)
@@ -216,11 +250,11 @@ def _as_one_body(setup: PlanSetup, untold: np.ndarray, std: np.ndarray, lasting:
     places = draw_readings(model.robot, SHOWN_BY, np.random.default_rng(0))
     moves = region_columns(setup, len(std) - len(setup.theta), places)[:, :3] * std
     moves = moves[:, :, lasting].reshape(-1, len(lasting)) @ untold.T
-    base = tuple(Coefficient("world_base", component) for component in FRAME_COMPONENTS)
-    of_base = region_columns(replace(setup, model=model.with_coefficients(base), theta=np.zeros(len(base))), 0, places)[
-        :, :3
-    ]
-    B = of_base.reshape(-1, len(base))
+    # Images tell neither where the base nor where the tip is: a camera or a board moves with one, the other stands about the other.
+    ends_of_arm = ("world_base", "tip_target") if setup.campaign.measurements.traits.images else ("world_base",)
+    body = tuple(Coefficient(where, component) for where in ends_of_arm for component in FRAME_COMPONENTS)
+    as_one = replace(setup, model=model.with_coefficients(body), theta=np.zeros(len(body)))
+    B = region_columns(as_one, 0, places)[:, :3].reshape(-1, len(body))
     bent = moves - B @ np.linalg.lstsq(B, moves, rcond=None)[0]
     _, s, Vt = np.linalg.svd(bent)
     return np.asarray(Vt[np.pad(s, (0, len(Vt) - len(s))) < UNTOLD_SHARE * np.linalg.norm(moves)] @ untold)

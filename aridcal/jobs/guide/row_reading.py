@@ -1,4 +1,7 @@
-"""Lines of a growing table as rows of the engine, in the order in which they came; what no row can be is named and left out."""
+"""Lines of a growing table as measurements, in the order in which they came; what no row can be is named and left out.
+
+A measurement is a row; of images it is a shot, all rows of one image.
+"""
 
 from __future__ import annotations
 
@@ -22,19 +25,39 @@ class RowsSoFar:
     """All lines that were taken, as far as they are rows.
 
     Attributes:
-        rows: In the order in which they came, N of them; None where there is not one.
+        rows: The first row of each measurement, in the order in which they came, N of them; None where there is not one.
         index: Of each among the lines that were taken, shape (N,).
         refused: Why a line is none, by its index.
+        every: All rows, M of them; the same as ``rows`` where each is a measurement of its own.
+        of: Measurement that each of these belongs to, in ascending order, shape (M,).
+        lines: Index of each of these among the lines, shape (M,).
     """
 
     rows: Dataset | None
     index: np.ndarray
     refused: dict[int, str]
+    every: Dataset | None
+    of: np.ndarray
+    lines: np.ndarray
+
+    def some(self, numbers: np.ndarray) -> tuple[Dataset, np.ndarray]:
+        """All rows of some measurements, and the place among these that each belongs to."""
+        assert self.every is not None
+        if self.every is self.rows:
+            return self.every.select(numbers), np.arange(len(numbers))
+        members = [np.flatnonzero(self.of == number) for number in numbers.tolist()]
+        place = np.repeat(np.arange(len(members)), [len(part) for part in members])
+        return self.every.select(np.concatenate(members)), place
+
+    def lines_of(self, number: int) -> list[int]:
+        """Indices of the lines of a measurement."""
+        return [int(k) for k in self.lines[self.of == number]]
 
 
 def no_rows(refused: dict[int, str]) -> RowsSoFar:
     """Nothing that can be used; with why lines are no rows."""
-    return RowsSoFar(None, np.zeros(0, dtype=int), refused)
+    none = np.zeros(0, dtype=int)
+    return RowsSoFar(None, none, refused, None, none, none)
 
 
 def rows_so_far(campaign: Campaign, robot: Robot, table: GrowingTable, before: RowsSoFar) -> RowsSoFar:
@@ -59,7 +82,7 @@ def rows_so_far(campaign: Campaign, robot: Robot, table: GrowingTable, before: R
     except AridcalError as error:
         reason = error
     refused = dict(before.refused)
-    usable = before.index.tolist()
+    usable = before.lines.tolist()
     for k in known[len([k for k in known if k in set(usable)]) :]:
         try:
             _read(campaign, robot, table, [*usable, k], refused)
@@ -89,4 +112,24 @@ def _read(campaign: Campaign, robot: Robot, table: GrowingTable, some: list[int]
     index = np.array(some)[ordered.origin.line - table.first]
     why = {some[remark.row - table.first]: remark.why for remark in rows.origin.refused if remark.row is not None}
     ordered = replace(ordered, test=np.zeros(len(ordered), dtype=bool)).with_origin(order=lines[index].astype(float))
-    return RowsSoFar(with_directions(ordered), index, refused | why)
+    ordered = with_directions(ordered)
+    if not campaign.measurements.traits.images:
+        return RowsSoFar(ordered, index, refused | why, ordered, np.arange(len(index)), index)
+    of = _shots(ordered)
+    first = np.unique(of, return_index=True)[1]
+    return RowsSoFar(ordered.select(first), index[first], refused | why, ordered, of, index)
+
+
+def _shots(rows: Dataset) -> np.ndarray:
+    """Number of the image that each row is of, shape (M,): another camera, other joints or a marker again begin a new one."""
+    refers, of = rows.labels.refers, np.zeros(len(rows), dtype=int)
+    seen: set[str] = set()
+    number = -1
+    for k in range(len(rows)):
+        marker = str(refers[k, -1])
+        goes_on = k > 0 and refers[k, 0] == refers[k - 1, 0] and np.array_equal(rows.readings[k], rows.readings[k - 1])
+        if not goes_on or marker in seen:
+            number, seen = number + 1, set()
+        seen.add(marker)
+        of[k] = number
+    return of

@@ -115,7 +115,7 @@ class Session:
         inflation: By how much rows are off more than predicted.
         beside: How far predictions were off.
         candidates: Configurations to choose from.
-        drawn_at: Lines when these were drawn.
+        drawn_at: Measurements when these were drawn.
         drawn_with: Whether frames were known then.
         repeated_at: Rows in use when a pose was last measured again.
         rejected: Poses that the user does not want now.
@@ -175,7 +175,7 @@ class Session:
             if self.read.rows is None and len(self.table.rows) >= FEW_BAD:
                 raise CampaignError(f"{self.campaign.path}: none of the rows can be used: {self.read.refused[new[0]]}")
             self.suspect = None
-            for k in new:
+            for k in self._heads(new):
                 events += self._row(k)
             self.skipped_points -= self._labels()
             events += self._afterwards(new)
@@ -183,8 +183,15 @@ class Session:
             self.point_by_hand = ""
         return [*events, *self._ahead()]
 
+    def _heads(self, new: Sequence[int]) -> list[int]:
+        """Those of new lines that begin a measurement, or are no row: the other rows of an image come with its first."""
+        if not self.campaign.measurements.traits.images:
+            return list(new)
+        within = set(self.read.lines.tolist()) - set(self.read.index.tolist())
+        return [k for k in new if k not in within]
+
     def _row(self, k: int) -> list[Event]:
-        """Judge one line beside all before it."""
+        """Judge the measurement that begins with a line beside all before it."""
         line = self.table.line(k)
         place = np.flatnonzero(self.read.index == k)
         if self.read.rows is None or not len(place):
@@ -205,7 +212,8 @@ class Session:
         slip = [] if self.posterior is None else self._moved(at, rows)
         if slip:  # then the row is good after all
             odd_ones = [odd for odd in odd_ones if odd.what != "outlier"]
-        events: list[Event] = [RowRead(line, self.good[k], tuple(odd.words for odd in odd_ones))]
+        count = len(self.read.lines_of(at)) if self.campaign.measurements.traits.images else 1
+        events: list[Event] = [RowRead(line, self.good[k], tuple(odd.words for odd in odd_ones), count)]
         events += [Alarm(line, odd.what, odd.words, odd.do) for odd in odd_ones]
         events += slip
         if self.posterior is None:
@@ -228,7 +236,7 @@ class Session:
             return []
         line = self.table.line(k)
         for words, other in in_other_units(rows, at) if self._places else ():
-            G, s = self.posterior.columns(other)
+            G, s = self.posterior.columns(other, np.arange(len(other)))
             if verdict(self.posterior, G[0], s[0], self.inflation).probability > TURN_BACK:
                 return [
                     Oddity(
@@ -265,9 +273,9 @@ class Session:
         return self.campaign.measurements.traits.places
 
     def _columns(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and residuals of some rows at the last fit, in sigmas; see :meth:`Posterior.columns`."""
-        assert self.posterior is not None and self.read.rows is not None
-        return self.posterior.columns(self.read.rows.select(numbers))
+        """Columns and residuals of some measurements at the last fit, in sigmas; see :meth:`Posterior.columns`."""
+        assert self.posterior is not None
+        return self.posterior.columns(*self.read.some(numbers))
 
     def _begun_wrong(self, k: int) -> bool:
         """Whether frames sought again with an early row explain it and all before it; they are then gone on with."""
@@ -302,12 +310,14 @@ class Session:
         return replace(answer, rows=rows[answer.rows], moves=moves)
 
     def _frames(self) -> dict[str, np.ndarray]:
-        """Columns of each frame that can move, at most six."""
+        """Columns of each frame, camera and board that can move, at most six."""
         assert self.posterior is not None
         names, things = self.posterior.setup.model.names, self.posterior.things
+        roles = self.posterior.setup.model.instruments.things.values()
+        placed = (*MOUNTING_FRAMES, *(name for t in roles if not t.role.many for name in t.names))
         columns_of = {
             where: [things + names.index(f"{where}.{c}") for c in FRAME_COMPONENTS if f"{where}.{c}" in names]
-            for where in MOUNTING_FRAMES
+            for where in placed
         }
         return {where: np.array(some) for where, some in columns_of.items() if some}
 
@@ -331,8 +341,10 @@ class Session:
 
     @property
     def _numbers(self) -> int:
-        """Numbers that a row tells of where the target is."""
+        """Numbers that a measurement tells of where the target is: of an image those of a body."""
         assert self.posterior is not None
+        if self.campaign.measurements.traits.images:
+            return len(FRAME_COMPONENTS)
         return sum(channel.size for channel in self.posterior.setup.patterns.channels)
 
     def _off(self, F: np.ndarray, judged: Verdict) -> tuple[np.ndarray, np.ndarray] | None:
@@ -340,6 +352,13 @@ class Session:
         assert self.posterior is not None
         setup = self.posterior.setup
         spread = judged.spread / self.inflation.variance
+        if self.campaign.measurements.traits.images:
+            G = self._as_if_moved(F[0])
+            if G is None:
+                return None
+            G = G[np.any(F[0] != 0.0, axis=1)]
+            solve = np.linalg.pinv(G)
+            return (solve @ judged.error)[:3], np.diag(solve @ spread @ solve.T)[:3]
         first = columns(setup.patterns.channels)[0]
         measured = np.any(F[0] != 0.0, axis=1)
         if not measured[first].all() or len(judged.error) < first.stop:
@@ -347,12 +366,24 @@ class Session:
         sigma = setup.sigma[0]
         return judged.error[first] * sigma, np.diag(spread)[first] * sigma**2
 
+    def _as_if_moved(self, F: np.ndarray) -> np.ndarray | None:
+        """Columns of an image, F (p, D), as if camera, board or the last joint were elsewhere, shape (p, 6)."""
+        assert self.posterior is not None
+        names = self.posterior.setup.model.names
+        for where in (*self._frames(), *reversed(self.robot.names)):
+            some = [self.posterior.things + names.index(n) for c in FRAME_COMPONENTS if (n := f"{where}.{c}") in names]
+            if len(some) == len(FRAME_COMPONENTS):
+                return F[:, some]
+        return None
+
     def _size(self, judged: Verdict) -> str:
         """How far off a row is, in words."""
         assert self.posterior is not None
         channels = self.posterior.setup.patterns.channels
         parts = []
-        if len(judged.error) == sum(channel.size for channel in channels):
+        if not self.campaign.measurements.traits.images and len(judged.error) == sum(
+            channel.size for channel in channels
+        ):
             for channel, part, sigma in zip(channels, columns(channels), self.posterior.setup.sigma, strict=True):
                 parts.append(f"{np.linalg.norm(judged.error[part]) * sigma * channel.scale:.3g} {channel.shown}")
         return f"{', '.join(parts)}, {judged.sigmas:.1f} sigma".lstrip(", ")
@@ -422,7 +453,7 @@ class Session:
         self.suspect = None
         self._fit()
         words = {"world_base": "the tripod (or the robot's base)", "tip_target": "the target"}
-        names = " or ".join(words[where] for where in best.frames)
+        names = " or ".join(words.get(where, where.replace("_", " ")) for where in best.frames)
         return [
             Alarm(
                 line,
@@ -439,21 +470,25 @@ class Session:
 
     def serving(self) -> list[int]:
         """Lines that are rows for the full search, which judges by itself which rows are outliers."""
-        return [k for k in self.read.index.tolist() if self._judges(k)]
+        heads = self.read.index[self.read.of].tolist()
+        return [k for k, head in zip(self.read.lines.tolist(), heads, strict=True) if self._judges(head)]
 
     def _knows(self) -> np.ndarray:
-        """Rows of which the model knows all that they refer to, shape (n,) bool."""
-        rows = self.read.rows
+        """Measurements of which the model knows all that they refer to, shape (n,) bool."""
+        rows = self.read.every
         assert self.posterior is not None and rows is not None
         model = self.posterior.setup.model
         knows = np.ones(len(rows), dtype=bool)
         if rows.labels.target is not None:
             knows &= np.isin(rows.labels.target.astype(str), [str(name) for name, _ in model.tip_target])
+        if rows.blocks[0].traits.touches:
+            # Not the model's own points: a fit takes in all that the table names, poses are drawn of those it began with.
+            return knows & np.isin(rows.labels.refers[:, 0], self.posterior.setup.patterns.labels.refers[:, 0])
         for k, role in enumerate(rows.blocks[0].traits.roles):
             things = model.instruments.things.get(role.name)
             if things is not None:
                 knows &= np.isin(rows.labels.refers[:, k], ["", *things.names])
-        return knows
+        return np.asarray(np.bincount(self.read.of, ~knows) == 0)
 
     # -- fits ---------------------------------------------------------------------------------------------------------------
 
@@ -465,9 +500,9 @@ class Session:
     def _begin(self, line: int) -> list[Event]:
         """Find frames and things from the rows so far, if they are enough."""
         some = self._in_use()
-        if self.read.rows is None or not len(some):
+        if not len(some):
             return []
-        rows = self.read.rows.select(some)
+        rows, _ = self.read.some(some)
         prior = None if self.prior is None else self.prior.setup
         try:
             setup = begun(self.campaign, self.robot, self.around, prior, rows)
@@ -485,9 +520,9 @@ class Session:
 
     def _fit(self) -> None:
         """Fit all rows in use anew."""
-        assert self.posterior is not None and self.read.rows is not None
+        assert self.posterior is not None
         some = self._in_use()
-        self.posterior = fitted(self.posterior, self.read.rows.select(some))
+        self.posterior = fitted(self.posterior, self.read.some(some)[0])
         self.fitted_rows = len(some)
 
     def _afterwards(self, new: Sequence[int]) -> list[Event]:
@@ -691,10 +726,14 @@ class Session:
 
     def _anywhere(self) -> Next:
         """What to measure while nobody knows where anything is: the user's own choice of pose."""
+        traits = self.campaign.measurements.traits
+        what = (
+            "the target in a point, each point in three poses" if traits.touches else "an image that shows the markers"
+        )
         return Next(
             {},
-            "bring the arm there yourself, as nobody says yet where the points are: measure the target in a point, each point in "
-            "three poses turned about all axes and far apart; poses are proposed once rows tell where the points are",
+            f"bring the arm there yourself, as nobody says yet where things are: measure {what}, turned about all axes and far "
+            "from the last; poses are proposed once rows tell where things are",
         )
 
     def _enough(self, known: Known, gain: float) -> tuple[Why, str] | None:
@@ -769,7 +808,7 @@ class Session:
 
     def _pool(self, now: Posterior) -> Pool:
         """Configurations to choose from."""
-        count = len(self.table.rows)
+        count = len(self.read.index)
         if (
             self.candidates is None
             or count >= self.drawn_at + POOL_LASTS
@@ -913,7 +952,7 @@ def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Sessio
         )
     traits = campaign.measurements.traits
     # Not images: what is said to be known from them was never found to hold against the truth.
-    if not (traits.tracked or traits.touches):
+    if not (traits.tracked or traits.touches or traits.images):
         raise CampaignError(
             f"{campaign.path}: measurements.kind: poses, positions and touches of points are guided; plan others with "
             "`aridcal design`, measure, and run `aridcal identify` now and then"

@@ -1,0 +1,182 @@
+"""How many images being led saves where a camera on the flange sees a board and nothing else measures.
+
+    python benchmarks/guide_images.py 10                  # draws of a UR10, a 7R, a SCARA and a gantry
+    python benchmarks/guide_images.py 10 --first 20 --arm UR10
+
+The machines are those of ``guide.py``, the camera and the board those of ``hand_eye.py``: 24 corners, 0.2 px of noise, a known
+lens. Where camera and board are is said to 3 mm and 10 mrad, and both are unknown. Random images are of random joints at
+which the camera sees the board. Images tell neither where the base is nor where the tip is: errors are those of the tip's place at 95 % of
+the region once both ends are laid over the true ones. The floor is what is left after 100 random images; judged as in
+``guide.py``: images from which on the error stays within twice the floor, and the truth at the stop, also of what was claimed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import yaml
+from guide import ARMS, cell, of, until
+from hand_eye import CORNERS, LENS, SIZE
+from hand_eye import NOISE as PIXELS
+
+from aridcal.engine.instruments.camera import project
+from aridcal.engine.model.predictions import rows_of_data
+from aridcal.files.campaign import load_campaign
+from aridcal.jobs.guide.events import Known, Next, Stop
+from aridcal.jobs.guide.session import Session, session
+from aridcal.jobs.plan.configurations import draw_candidates
+from aridcal.jobs.simulate.live import LiveArm
+
+FLOOR_IMAGES, MOST_IMAGES = 100, 60
+HINT_PLACE, HINT_TURN = 3e-3, 1e-2
+BOARDS = {"UR10": (0.6, 0.2, 0.0), "7R": (0.45, 0.1, 0.0), "SCARA": (0.4, 0.1, -0.3), "gantry": (1.5, 1.0, -0.3)}
+MARGIN = 5  # [px] from the edge of the image
+LABELS = [f"c{k}" for k in range(len(CORNERS))]
+
+
+@dataclass
+class Eye:
+    """A true machine with a camera on its flange, and a board before it.
+
+    Attributes:
+        arm: The machine.
+        camera: T_tip_camera.
+        board: T_base_board.
+        noise: Draws the noise of the pixels.
+    """
+
+    arm: LiveArm
+    camera: pin.SE3
+    board: pin.SE3
+    noise: np.random.Generator
+
+    def tips(self, readings: np.ndarray) -> list[pin.SE3]:
+        """T_base_tip of each of n readings, shape (n, columns)."""
+        ((_, base),), ((_, target),) = self.arm.model.world_base, self.arm.model.tip_target
+        R, p = self.arm.model.poses(self.arm.simulation.theta, self.arm.model.rows(readings))
+        return [pin.SE3(base).inverse() * pin.SE3(*pose) * pin.SE3(target).inverse() for pose in zip(R, p, strict=True)]
+
+    def image(self, readings: np.ndarray, shot: int) -> list[bytes]:
+        """Lines of the table: the header, and a line for each corner that is seen."""
+        seen = (self.tips(readings[None])[0] * self.camera).inverse() * self.board
+        corners = CORNERS @ seen.rotation.T + seen.translation
+        pixels = project(corners, np.tile(LENS, (len(corners), 1))) + PIXELS * self.noise.standard_normal((24, 2))
+        within = np.all((pixels > MARGIN) & (pixels < np.array(SIZE) - MARGIN), axis=1) & (corners[:, 2] > 0.0)
+        rows = [
+            [*readings.tolist(), "eye", label, shot, *pixel]
+            for label, pixel, is_in in zip(LABELS, pixels, within, strict=True)
+            if is_in
+        ]
+        columns = [*self.arm.simulation.robot.readings, "camera", "marker", "shot", "u", "v"]
+        return pd.DataFrame(rows, columns=columns).to_csv(index=False).encode().strip().split(b"\n")
+
+
+def workcell(folder: Path, arm: str, seed: int) -> Eye:
+    """Draw a machine, its camera and its board; the campaign is written beside."""
+    rng = np.random.default_rng([seed, 21])
+    made = cell(folder, arm, "pose", seed).arm
+    turn = pin.rpy.rpyToMatrix(*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi))
+    down = np.diag([1.0, -1.0, -1.0]) if arm in ("SCARA", "gantry") else np.eye(3)
+    camera = pin.SE3(down @ turn, rng.uniform((-0.08, -0.08, 0.02), (0.08, 0.08, 0.1)))
+    board = pin.SE3(pin.rpy.rpyToMatrix(0.02, -0.01, 0.3), np.array(BOARDS[arm]))
+    pd.DataFrame({"marker": LABELS, **dict(zip("xyz", CORNERS.T, strict=True))}).to_csv(
+        folder / "markers.csv", index=False
+    )
+    fx, fy, cx, cy, *distortion = LENS.tolist()
+    lens = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": SIZE[0], "height": SIZE[1], "distortion": distortion}
+    keys = yaml.safe_load((folder / "campaign.yaml").read_text())
+    keys.pop("frames")
+    keys["measurements"] = {"file": "measurements.csv", "kind": "pixels", "noise": {"pixel": PIXELS}}
+    keys["instruments"] = {
+        "cameras": {"eye": {**lens, "on": "tip", "identify": ["place"], **_nearly(camera, rng)}},
+        "markers": {"file": "markers.csv", **_nearly(board, rng)},
+    }
+    (folder / "campaign.yaml").write_text(yaml.safe_dump(keys))
+    return Eye(made, camera, board, np.random.default_rng([seed, 22]))
+
+
+def _nearly(place: pin.SE3, rng: np.random.Generator) -> dict[str, Any]:
+    """A place as a user measures it with a ruler."""
+    turn = pin.rpy.matrixToRpy(place.rotation @ pin.rpy.rpyToMatrix(*(HINT_TURN * rng.standard_normal(3))))
+    return {"xyz": (place.translation + HINT_PLACE * rng.standard_normal(3)).tolist(), "rpy": turn.tolist()}
+
+
+def error(now: Session, eye: Eye) -> float:
+    """95th percentile over the region of the tip's error, base and tip laid over the true ones, [m]."""
+    if now.posterior is None:
+        return np.inf
+    setup = now.posterior.setup
+    theta = setup.theta + now.posterior.step[now.posterior.things :]
+    pattern = setup.patterns.select(np.zeros(len(now.region), dtype=int))
+    R, p = setup.model.poses(theta, rows_of_data(setup.model, pattern, now.region))
+    off = np.array([tip.translation for tip in eye.tips(now.region)]) - p
+    moves = np.array([np.hstack([np.eye(3), -pin.skew(at), turn]) for at, turn in zip(p, R, strict=True)]).reshape(-1, 9)
+    left = off.ravel() - moves @ np.linalg.lstsq(moves, off.ravel(), rcond=None)[0]
+    return float(np.quantile(np.linalg.norm(left.reshape(-1, 3), axis=1), 0.95))
+
+
+def fed(now: Session, eye: Eye, readings: np.ndarray, shot: int) -> list[object]:
+    """Take an image, and what is said to it."""
+    head, *lines = eye.image(readings, shot)
+    if not now.table.head:
+        now.table.add(head)
+    return list(now.taken([k for line in lines for k in now.table.add(line)]))
+
+
+def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
+    """One draw: floor, images of each way and at the stop, whether the truth is within, share of claims that hold."""
+    eye = workcell(folder, arm, seed)
+    campaign, robot = load_campaign(folder / "campaign.yaml"), eye.arm.simulation.robot
+    at_random = session(campaign, robot, None)
+    assert at_random.prior is not None
+    poses = draw_candidates(at_random.prior.setup, FLOOR_IMAGES, 1, np.random.default_rng([seed, 23])).readings
+    at_random._ahead = lambda: []  # type: ignore[method-assign]
+    random = []
+    for shot, readings in enumerate(poses):
+        fed(at_random, eye, readings, shot)
+        random.append(error(at_random, eye))
+    tolerance = 2.0 * random[-1]
+    now = session(campaign, robot, tolerance)
+    events: list[object] = list(now.taken([]))
+    led: list[float] = []
+    claims: list[bool] = []
+    stop, within = 0, False
+    while len(led) < MOST_IMAGES and isinstance(events[-1], Next):
+        events = fed(now, eye, of(events[-1]), len(led))
+        led.append(error(now, eye))
+        claims += [led[-1] <= event.position for event in events if isinstance(event, Known)]
+        if isinstance(events[-1], Stop):
+            stop, within = len(led), led[-1] <= tolerance
+    return random[-1], until(led, tolerance), until(random, tolerance), stop, float(within), float(np.mean(claims))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("draws", type=int, nargs="?", default=3)
+    parser.add_argument("--first", type=int, default=0, metavar="SEED")
+    parser.add_argument("--arm", choices=list(ARMS), action="append")
+    arguments = parser.parse_args()
+    print("arm     floor mm  guided  random  /random  stopped at  truth within  claims that hold", flush=True)
+    for arm in arguments.arm or ARMS:
+        figures = []
+        for seed in range(arguments.first, arguments.first + arguments.draws):
+            with tempfile.TemporaryDirectory() as name:
+                figures.append(draw(Path(name), arm, seed))
+        every = np.array(figures)
+        floor, guided, random, stop, *_ = np.median(every, axis=0)
+        print(
+            f"{arm:7s} {1e3 * floor:8.3f} {guided:7.0f} {random:7.0f} {np.median(every[:, 1] / every[:, 2]):8.2f} {stop:11.0f} "
+            f"{int(every[:, 4].sum()):6d} of {int(np.sum(every[:, 3] > 0))} {np.mean(every[:, 5]):12.2f}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
