@@ -2,12 +2,14 @@
 
     python benchmarks/guide_images.py 10                  # draws of a UR10, a 7R, a SCARA and a gantry
     python benchmarks/guide_images.py 10 --first 20 --arm UR10
+    python benchmarks/guide_images.py 10 --faults         # camera or board moved, stale image: told within two images
 
 The machines are those of ``guide.py``, the camera and the board those of ``hand_eye.py``: 24 corners, 0.2 px of noise, a known
 lens. Where camera and board are is said to 3 mm and 10 mrad, and both are unknown. Random images are of random joints at
-which the camera sees the board. Images tell neither where the base is nor where the tip is: errors are those of the tip's place at 95 % of
-the region once both ends are laid over the true ones. The floor is what is left after 100 random images; judged as in
-``guide.py``: images from which on the error stays within twice the floor, and the truth at the stop, also of what was claimed.
+which the camera sees the board. Images tell neither where the base is nor where the tip is: errors are those of the tip's
+place at 95 % of the region once both ends are laid over the true ones. The floor is what is left after 100 random images;
+judged as in ``guide.py``: images from which on the error stays within twice the floor, and the truth where it is said that the
+tolerance is kept, and of all that was said to be known.
 """
 
 from __future__ import annotations
@@ -22,14 +24,14 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 import yaml
-from guide import ARMS, cell, of, until
+from guide import ARMS, _gone_on, cell, of, until
 from hand_eye import CORNERS, LENS, SIZE
 from hand_eye import NOISE as PIXELS
 
 from aridcal.engine.instruments.camera import project
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.files.campaign import load_campaign
-from aridcal.jobs.guide.events import Known, Next, Stop
+from aridcal.jobs.guide.events import Alarm, Known, Next, Stop
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.plan.configurations import draw_candidates
 from aridcal.jobs.simulate.live import LiveArm
@@ -63,9 +65,10 @@ class Eye:
         R, p = self.arm.model.poses(self.arm.simulation.theta, self.arm.model.rows(readings))
         return [pin.SE3(base).inverse() * pin.SE3(*pose) * pin.SE3(target).inverse() for pose in zip(R, p, strict=True)]
 
-    def image(self, readings: np.ndarray, shot: int) -> list[bytes]:
-        """Lines of the table: the header, and a line for each corner that is seen."""
-        seen = (self.tips(readings[None])[0] * self.camera).inverse() * self.board
+    def image(self, readings: np.ndarray, shot: int, taken_at: np.ndarray | None = None) -> list[bytes]:
+        """Lines of the table: the header, and a line for each corner that is seen, at these readings or at others."""
+        at = readings if taken_at is None else taken_at
+        seen = (self.tips(at[None])[0] * self.camera).inverse() * self.board
         corners = CORNERS @ seen.rotation.T + seen.translation
         pixels = project(corners, np.tile(LENS, (len(corners), 1))) + PIXELS * self.noise.standard_normal((24, 2))
         within = np.all((pixels > MARGIN) & (pixels < np.array(SIZE) - MARGIN), axis=1) & (corners[:, 2] > 0.0)
@@ -117,21 +120,25 @@ def error(now: Session, eye: Eye) -> float:
     pattern = setup.patterns.select(np.zeros(len(now.region), dtype=int))
     R, p = setup.model.poses(theta, rows_of_data(setup.model, pattern, now.region))
     off = np.array([tip.translation for tip in eye.tips(now.region)]) - p
-    moves = np.array([np.hstack([np.eye(3), -pin.skew(at), turn]) for at, turn in zip(p, R, strict=True)]).reshape(-1, 9)
+    moves = np.array([np.hstack([np.eye(3), -pin.skew(at), turn]) for at, turn in zip(p, R, strict=True)]).reshape(
+        -1, 9
+    )
     left = off.ravel() - moves @ np.linalg.lstsq(moves, off.ravel(), rcond=None)[0]
     return float(np.quantile(np.linalg.norm(left.reshape(-1, 3), axis=1), 0.95))
 
 
-def fed(now: Session, eye: Eye, readings: np.ndarray, shot: int) -> list[object]:
-    """Take an image, and what is said to it."""
-    head, *lines = eye.image(readings, shot)
+def fed(now: Session, eye: Eye, readings: np.ndarray, shot: int, taken_at: np.ndarray | None = None) -> list[object]:
+    """Take an image, or have that of other readings, and what is said to it; a pose that shows no corner is rejected."""
+    head, *lines = eye.image(readings, shot, taken_at)
+    if not lines:
+        return list(now.reject())
     if not now.table.head:
         now.table.add(head)
     return list(now.taken([k for line in lines for k in now.table.add(line)]))
 
 
 def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
-    """One draw: floor, images of each way and at the stop, whether the truth is within, share of claims that hold."""
+    """One draw: floor, images of each way, at the stop, whether the tolerance is said to be kept, and is; true claims."""
     eye = workcell(folder, arm, seed)
     campaign, robot = load_campaign(folder / "campaign.yaml"), eye.arm.simulation.robot
     at_random = session(campaign, robot, None)
@@ -147,14 +154,67 @@ def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
     events: list[object] = list(now.taken([]))
     led: list[float] = []
     claims: list[bool] = []
-    stop, within = 0, False
+    stop, said, within = 0, False, False
     while len(led) < MOST_IMAGES and isinstance(events[-1], Next):
+        before = len(now.table.rows)
         events = fed(now, eye, of(events[-1]), len(led))
+        if len(now.table.rows) == before:
+            continue
         led.append(error(now, eye))
         claims += [led[-1] <= event.position for event in events if isinstance(event, Known)]
         if isinstance(events[-1], Stop):
-            stop, within = len(led), led[-1] <= tolerance
-    return random[-1], until(led, tolerance), until(random, tolerance), stop, float(within), float(np.mean(claims))
+            stop, said, within = len(led), events[-1].why == "tolerance", led[-1] <= tolerance
+    kept = until(led, tolerance), until(random, tolerance)
+    return random[-1], *kept, stop, float(said), float(said and within), float(np.mean(claims))
+
+
+FAULTS = {"none": set(), "camera": {"slip"}, "board": {"slip"}, "stale": {"stale"}}
+
+
+def fault(folder: Path, arm: str, what: str, seed: int) -> tuple[bool, bool, int, int]:
+    """One draw: told within two images, told by its name, images before it, alarms among these."""
+    eye = workcell(folder, arm, seed)
+    rng = np.random.default_rng([seed, 24])
+    at, shift = int(rng.integers(12, 22)), rng.normal(size=3)
+    shift *= rng.uniform(5e-4, 3e-3) / np.linalg.norm(shift)
+    now = session(load_campaign(folder / "campaign.yaml"), eye.arm.simulation.robot, None)
+    events: list[object] = list(now.taken([]))
+    alarms: list[tuple[int, Alarm]] = []
+    n, last = 1, np.zeros(0)
+    while n <= at + 2:
+        following = events[-1]
+        if isinstance(following, Stop):
+            (following,) = _gone_on(now)
+        assert isinstance(following, Next)
+        if n == at and what == "camera":
+            eye.camera = pin.SE3(eye.camera.rotation, eye.camera.translation + shift)
+        if n == at and what == "board":
+            eye.board = pin.SE3(eye.board.rotation, eye.board.translation + shift)
+        readings, before = of(following), len(now.table.rows)
+        events = fed(now, eye, readings, n, last if n == at and what == "stale" else readings)
+        if len(now.table.rows) > before:
+            alarms += [(n, event) for event in events if isinstance(event, Alarm)]
+            n, last = n + 1, readings
+    late = [alarm for number, alarm in alarms if number >= at] if FAULTS[what] else []
+    named = any(alarm.what in FAULTS[what] for alarm in late)
+    clean = at - 1 if FAULTS[what] else at + 2
+    return bool(late), named, clean, sum(number <= clean for number, _ in alarms)
+
+
+def faults(arms: list[str], seeds: range) -> None:
+    """Faults put in between the 12th and the 22nd image, and none."""
+    print("arm     fault   told  as      images without a fault  alarms", flush=True)
+    for arm in arms:
+        for what in FAULTS:
+            figures = []
+            for seed in seeds:
+                with tempfile.TemporaryDirectory() as name:
+                    figures.append(fault(Path(name), arm, what, seed))
+            told, named, clean, alarms = np.sum(np.array(figures, dtype=int), axis=0).tolist()
+            print(
+                f"{arm:7s} {what:7s} {told:3d}/{len(seeds)} {named:3d}/{len(seeds)} {clean:14d} {alarms:14d}",
+                flush=True,
+            )
 
 
 def main() -> None:
@@ -162,7 +222,11 @@ def main() -> None:
     parser.add_argument("draws", type=int, nargs="?", default=3)
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
     parser.add_argument("--arm", choices=list(ARMS), action="append")
+    parser.add_argument("--faults", action="store_true")
     arguments = parser.parse_args()
+    if arguments.faults:
+        faults(arguments.arm or list(ARMS), range(arguments.first, arguments.first + arguments.draws))
+        return
     print("arm     floor mm  guided  random  /random  stopped at  truth within  claims that hold", flush=True)
     for arm in arguments.arm or ARMS:
         figures = []
@@ -173,7 +237,7 @@ def main() -> None:
         floor, guided, random, stop, *_ = np.median(every, axis=0)
         print(
             f"{arm:7s} {1e3 * floor:8.3f} {guided:7.0f} {random:7.0f} {np.median(every[:, 1] / every[:, 2]):8.2f} {stop:11.0f} "
-            f"{int(every[:, 4].sum()):6d} of {int(np.sum(every[:, 3] > 0))} {np.mean(every[:, 5]):12.2f}",
+            f"{int(every[:, 5].sum()):6d} of {int(every[:, 4].sum())} {np.mean(every[:, 6]):12.2f}",
             flush=True,
         )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,6 +13,9 @@ from aridcal.jobs.guide.session import Session, session
 from aridcal.runs.guided_campaign import to_calibrate
 from aridcal.system.errors import MeasurementError, name_list
 from aridcal.system.writing.append import append
+
+Cells = Mapping[str, float | str]
+"""What was measured, by column."""
 
 
 @dataclass
@@ -30,20 +33,22 @@ class GuidedPose:
     why: str
     _of: Guided
 
-    def record(self, measured: Mapping[str, float | str]) -> list[Alarm]:
-        """Append a row to the campaign's table, and judge it.
+    def record(self, measured: Cells | Sequence[Cells]) -> list[Alarm]:
+        """Append a row to the campaign's table, or all rows of an image, and judge it.
 
         Args:
             measured: What was measured, by column, in the campaign's units: ``{"x": …, "y": …, "z": …}``. The joints are
-                those of the pose, unless their columns stand here: readings of the moment are better.
+                those of the pose, unless their columns stand here: readings of the moment are better. Of an image one for
+                each corner: ``[{"marker": …, "u": …, "v": …}, …]``.
 
         Returns:
             What calls for action; empty where the row is good.
 
         Raises:
-            AridcalError: the row does not have the table's columns, or cannot be written.
+            AridcalError: the row does not have the table's columns, or cannot be written; or nothing was measured.
         """
-        return self._of.take({**self.joints, **self.measure, **measured})
+        rows = [measured] if isinstance(measured, Mapping) else measured
+        return self._of.take([{**self.joints, **self.measure, **row} for row in rows])
 
     def reject(self) -> None:
         """Ask for another pose in place of this one."""
@@ -102,9 +107,11 @@ class Guided:
         self.events += events
         return events
 
-    def take(self, cells: Mapping[str, float | str]) -> list[Alarm]:
-        """Append a row and judge it; see :meth:`GuidedPose.record`."""
+    def take(self, rows: Sequence[Cells]) -> list[Alarm]:
+        """Append rows and judge them; see :meth:`GuidedPose.record`."""
         path = self._path
+        if not rows:
+            raise MeasurementError(f"{path}: nothing was measured: call `reject` for another pose")
         dialect = self.session.campaign.measurements.table.dialect
         content = content_of(path, self.session.campaign.limits.table)
         begun = content is not None
@@ -115,14 +122,15 @@ class Guided:
         names = (
             content.decode(dialect.encoding).splitlines()[dialect.begins - 2].split(dialect.separator)
             if content
-            else [*cells]
+            else [*rows[0]]
         )
         names = [name.strip().strip('"') for name in names]
-        missing = [name for name in names if name not in cells]
+        missing = [name for name in names if any(name not in cells for cells in rows)]
         if missing:
             raise MeasurementError(f"{path}: the table has columns that were not recorded: {name_list(missing)}")
-        row = dialect.separator.join(_cell(cells[name], dialect.decimal) for name in names)
-        text = f"{row}\n" if begun else f"{dialect.separator.join(names)}\n{row}\n"
+        lines = [dialect.separator.join(_cell(cells[name], dialect.decimal) for name in names) for cells in rows]
+        head = [] if begun else [dialect.separator.join(names)]
+        text = "".join(f"{line}\n" for line in (*head, *lines))
         try:
             append(path, text if not content or content.endswith(b"\n") else f"\n{text}")
         except OSError as problem:

@@ -250,7 +250,7 @@ def _as_one_body(setup: PlanSetup, untold: np.ndarray, std: np.ndarray, lasting:
     places = draw_readings(model.robot, SHOWN_BY, np.random.default_rng(0))
     moves = region_columns(setup, len(std) - len(setup.theta), places)[:, :3] * std
     moves = moves[:, :, lasting].reshape(-1, len(lasting)) @ untold.T
-    # Images tell neither where the base nor where the tip is: a camera or a board moves with one, the other stands about the other.
+    # Images tell neither where the base nor where the tip is: camera and board are somewhere about them.
     ends_of_arm = ("world_base", "tip_target") if setup.campaign.measurements.traits.images else ("world_base",)
     body = tuple(Coefficient(where, component) for where in ends_of_arm for component in FRAME_COMPONENTS)
     as_one = replace(setup, model=model.with_coefficients(body), theta=np.zeros(len(body)))
@@ -273,7 +273,9 @@ def begun(campaign: Campaign, robot: Robot, around: Bodies, prior: PlanSetup | N
     Raises:
         NotOfThisRobot: the rows cannot be of this robot.
     """
-    if len(np.unique(rows.repeats.configuration)) < FEWEST_TO_BEGIN:
+    # Rows of one image are configurations each, as they refer to different things; two at one place are one.
+    poses = min(len(np.unique(rows.repeats.configuration)), len(np.unique(rows.readings, axis=0)))
+    if poses < FEWEST_TO_BEGIN:
         return None
     question = replace(campaign.question, constants="none", effects=(), sought=())
     labels = station_labels(question, rows)

@@ -49,6 +49,19 @@ class RowsSoFar:
         place = np.repeat(np.arange(len(members)), [len(part) for part in members])
         return self.every.select(np.concatenate(members)), place
 
+    def shift(self, number: int) -> float:
+        """How far a measurement is from the one before, [m]; of two images as far as most marks moved, [px]; else NaN."""
+        assert self.rows is not None and self.every is not None
+        if not number or self.rows.blocks[0].traits.touches:
+            return np.nan
+        if not self.rows.blocks[0].traits.images:
+            return float(np.linalg.norm(self.rows.position[number] - self.rows.position[number - 1]))
+        before, now = (np.flatnonzero(self.of == k) for k in (number - 1, number))
+        marks = self.every.labels.refers
+        pairs = [(i, j) for i in before for j in now if np.array_equal(marks[i], marks[j])]
+        moves = [np.linalg.norm(self.every.observed[i, :2] - self.every.observed[j, :2]) for i, j in pairs]
+        return float(np.median(moves)) if moves else np.nan
+
     def lines_of(self, number: int) -> list[int]:
         """Indices of the lines of a measurement."""
         return [int(k) for k in self.lines[self.of == number]]

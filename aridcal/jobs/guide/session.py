@@ -246,7 +246,7 @@ class Session:
                         True,
                     )
                 ]
-        stale = not_renewed(rows, at, self.posterior.setup.sigma) if self._places else ""
+        stale = not_renewed(rows, at, self.read.shift(at), float(self.posterior.setup.sigma[0]))
         if stale:
             return [
                 Oddity(
@@ -259,7 +259,7 @@ class Session:
         self.suspect = k
         self.off.add(k)
         again = self._witness(at, rows)
-        what = "the tripod or the target"
+        what = "the camera or the board" if self.campaign.measurements.traits.images else "the tripod or the target"
         do = (
             f"measure row {self.table.line(again)} again: if it is off, too, {what} moved; if not, row {line} was a bad reading"
             if again is not None
@@ -402,7 +402,7 @@ class Session:
         """Look whether a frame moved within the last rows."""
         assert self.posterior is not None
         # Not of touches: things whose places nobody knows give way like frames, and clean rows had a slip in 45.
-        if self._young and self._places:
+        if self._young and not self.campaign.measurements.traits.touches:
             off = self.off - self.called_off
             recent = [j for j in range(max(0, at - WINDOW + 1), at + 1) if int(self.read.index[j]) in off]
             early = self._suppositions(recent).movement()
@@ -453,7 +453,8 @@ class Session:
         self.suspect = None
         self._fit()
         words = {"world_base": "the tripod (or the robot's base)", "tip_target": "the target"}
-        names = " or ".join(words.get(where, where.replace("_", " ")) for where in best.frames)
+        words |= {name: f"the camera {name}" for name in self.campaign.instruments.cameras}
+        names = " or ".join(words.get(where, f"the {where.replace('_', ' ')}") for where in best.frames)
         return [
             Alarm(
                 line,
@@ -951,17 +952,23 @@ def session(campaign: Campaign, robot: Robot, tolerance: float | None) -> Sessio
             f"{campaign.path}: measurements: one table is followed while it grows; write a campaign with one block and one file"
         )
     traits = campaign.measurements.traits
-    # Not images: what is said to be known from them was never found to hold against the truth.
     if not (traits.tracked or traits.touches or traits.images):
         raise CampaignError(
-            f"{campaign.path}: measurements.kind: poses, positions and touches of points are guided; plan others with "
-            "`aridcal design`, measure, and run `aridcal identify` now and then"
+            f"{campaign.path}: measurements.kind: poses, positions, touches of points and images of markers are guided; plan "
+            "others with `aridcal design`, measure, and run `aridcal identify` now and then"
         )
     rng = np.random.default_rng(0)
     around = bodies(campaign.design.keep_out or (), robot)
     try:
         setup = from_nothing(campaign, robot, around)
     except NothingStated:
+        lenses = [name for name, camera in campaign.instruments.cameras.items() if {*camera.identify} - {"place"}]
+        if traits.images and lenses:
+            # Three images begin with any lens: what was said then had frames that slipped although nothing moved.
+            raise CampaignError(
+                f"{campaign.path}: instruments.cameras.{lenses[0]}: its lens is to be found, and nobody says where camera and "
+                "markers are: say nearly where (`xyz`, `rpy` of both), or give the lens and `identify: [place]`"
+            ) from None
         prior, region = None, np.zeros((0, len(robot.readings)))
     else:
         setup = with_suspects(setup, rng)

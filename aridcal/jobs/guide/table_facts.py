@@ -112,21 +112,21 @@ def in_other_units(rows: Dataset, k: int) -> Iterator[tuple[str, Dataset]]:
         yield words, replace(row, readings=np.where(turning, row.readings / factor, row.readings))
 
 
-def not_renewed(rows: Dataset, k: int, sigma: np.ndarray) -> str:
+def not_renewed(rows: Dataset, k: int, shift: float, sigma: float) -> str:
     """Why a row that is off is one that was not renewed; empty if it is not: it measures what the last one did, nearly.
 
     Args:
         rows: In the order in which they came.
         k: Index of the row.
-        sigma: Noise of each channel, shape (C,).
+        shift: How far its measurement is from that of the row before, [m] or [px]; NaN where none can be compared.
+        sigma: Noise of that along an axis.
     """
     if not k:
         return ""
     moved = np.abs(rows.readings[k] - rows.readings[k - 1]) > tolerances(rows.kinds)
-    shift = float(np.linalg.norm(rows.position[k] - rows.position[k - 1]))
-    if moved.any() and shift < STILL * sigma[0]:
+    if moved.any() and shift < STILL * sigma:
         return "its measurement is that of the row before, although the joints moved"
-    if not moved.any() and shift > STILL * sigma[0]:
+    if not moved.any() and shift > STILL * sigma:
         return "its joints are those of the row before, although the target moved"
     return ""
 

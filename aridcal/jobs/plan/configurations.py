@@ -23,8 +23,8 @@ from aridcal.system.errors import CampaignError
 DRAWING_ROUNDS = 40
 """Times that configurations are drawn: fewer than one in forty inside what is allowed is hardly a workspace."""
 
-CANDIDATES_AT_ONCE = 3000
-"""Configurations that are drawn at a time, where only some of them can be measured."""
+CANDIDATES_AT_ONCE, FEWEST_AT_ONCE, OFTEN_SHOWN = 3000, 1000, 10
+"""Work: Configurations that are drawn at a time, where only some of them can be measured; at the least; for each one wanted."""
 
 FEWEST_MARKERS_SHOWN = 4
 """Markers that an image must show, or all if there are fewer: a pose needs three, and one more to check."""
@@ -235,7 +235,8 @@ def _of_offer(setup: PlanSetup, patterns: np.ndarray, count: int, least: int, rn
     """Measurable configurations of one offer."""
     readings_found: list[np.ndarray] = []
     patterns_shown: list[np.ndarray] = []
-    measurable, batch = 0, max(count, CANDIDATES_AT_ONCE) if len(patterns) > 1 else count
+    at_once = min(CANDIDATES_AT_ONCE, max(FEWEST_AT_ONCE, OFTEN_SHOWN * count))
+    measurable, batch = 0, max(count, at_once) if len(patterns) > 1 else count
     for _ in range(DRAWING_ROUNDS):
         readings = _draw_readings(setup, int(patterns[0]), batch, rng)
         shown = _patterns_shown(setup, readings, patterns)

@@ -287,20 +287,6 @@ def test_a_table_of_another_kind_of_campaign_is_refused_in_words(
     assert "no column" in capsys.readouterr().err
 
 
-def test_images_are_refused_with_what_to_do_and_nothing_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "scara.urdf").write_text(SCARA)
-    camera = "{eye: {width: 640, height: 480, fx: 700, fy: 700, cx: 320, cy: 240}}"
-    (tmp_path / "campaign.yaml").write_text(
-        "format: 1\nrobot: {urdf: scara.urdf, tip: tool}\nmeasurements: {file: m.csv, kind: pixels}\n"
-        f"instruments: {{cameras: {camera}}}\n"
-    )
-    assert main([str(tmp_path / "campaign.yaml"), "--no-page"]) == 2
-    assert "plan others with `aridcal design`" in capsys.readouterr().err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["campaign.yaml", "scara.urdf"]
-
-
 def test_the_page_shows_the_last_row_and_the_last_alarm_where_an_earlier_row_is_judged_again() -> None:
     board = Board("cell", None, "measurements.csv")
     board.note([RowRead(2, True), RowRead(3, True), RowRead(4, True), Alarm(2, "outlier", "off", "do")])
