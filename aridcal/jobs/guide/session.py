@@ -16,7 +16,7 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
 from aridcal.files.counting import counting
 from aridcal.files.orientations import column_of
-from aridcal.jobs.guide.accuracy import DRAWS, Beside, bound
+from aridcal.jobs.guide.accuracy import AXES, DRAWS, Beside, bound
 from aridcal.jobs.guide.early_rows import Suppositions, is_young, weigh
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop, Why
 from aridcal.jobs.guide.growing_table import GrowingTable
@@ -358,7 +358,7 @@ class Session:
                 return None
             G = G[np.any(F[0] != 0.0, axis=1)]
             solve = np.linalg.pinv(G)
-            return (solve @ judged.error)[:3], np.diag(solve @ spread @ solve.T)[:3]
+            return solve @ judged.error, np.diag(solve @ spread @ solve.T)
         first = columns(setup.patterns.channels)[0]
         measured = np.any(F[0] != 0.0, axis=1)
         if not measured[first].all() or len(judged.error) < first.stop:
@@ -367,13 +367,16 @@ class Session:
         return judged.error[first] * sigma, np.diag(spread)[first] * sigma**2
 
     def _as_if_moved(self, F: np.ndarray) -> np.ndarray | None:
-        """Columns of an image, F (p, D), as if camera, board or the last joint were elsewhere, shape (p, 6)."""
+        """Columns of an image, F (p, D), as if camera, board or the last joint were elsewhere, shape (p, 3).
+
+        Not turned besides: turns look like moves from so near, and of both together an image tells little.
+        """
         assert self.posterior is not None
         names = self.posterior.setup.model.names
         for where in (*self._frames(), *reversed(self.robot.names)):
             some = [self.posterior.things + names.index(n) for c in FRAME_COMPONENTS if (n := f"{where}.{c}") in names]
             if len(some) == len(FRAME_COMPONENTS):
-                return F[:, some]
+                return F[:, some[:AXES]]
         return None
 
     def _size(self, judged: Verdict) -> str:

@@ -206,7 +206,7 @@ def test_a_row_that_is_left_out_is_as_far_off_as_a_fit_without_it_says(tmp_path:
     led(now, cell, 10)
     assert now.posterior is not None
     assert now.read.rows is not None
-    F, r = now.posterior.columns(now.read.rows)
+    F, r = now.posterior.columns(now.read.rows, np.arange(len(now.read.rows)))
     r[[0, 5]] += 5.0  # sigmas: clearly off
     together = beside_others(now.posterior, F, r, now.inflation)
     for k in (0, 5):
