@@ -141,16 +141,19 @@ def alarms(said: list[Event]) -> list[Alarm]:
 
 
 def test_what_is_said_to_be_known_from_images_holds_against_the_truth_and_an_image_is_one_event(cell: Cell) -> None:
-    """Where base and tip are, no image tells: what is said is of the arm between them. It becomes ten times smaller."""
+    """Where base and tip are, no image tells: what is said is of the arm between them. It becomes ten times smaller, the error four times."""
     claims: list[float] = []
+    errors: list[float] = []
     for said in cell.led(25):
         assert alarms(said) == []
         (row,) = [event for event in said if isinstance(event, RowRead)]
         claims += [event.position for event in said if isinstance(event, Known)]
-        assert not claims or error(cell) < claims[-1]
+        if claims:
+            errors.append(error(cell))
+            assert errors[-1] < claims[-1]
         assert row.document()["count"] == row.count == len(cell.now.read.lines_of(len(cell.now.read.index) - 1))
     assert min(claims) < 0.1 * max(claims)
-    assert error(cell) < 1e-4
+    assert errors[-1] < 0.25 * errors[0]
 
 
 @pytest.mark.parametrize("what", ["camera", "board"])
