@@ -141,7 +141,7 @@ def alarms(said: list[Event]) -> list[Alarm]:
 
 
 def test_what_is_said_to_be_known_from_images_holds_against_the_truth_and_an_image_is_one_event(cell: Cell) -> None:
-    """Where base and tip are, no image tells: what is said is of the arm between them. It becomes ten times smaller, the error four times."""
+    """Where base and tip are, no image tells: what is said is of the arm between them. It shrinks tenfold, the error fourfold."""
     claims: list[float] = []
     errors: list[float] = []
     for said in cell.led(25):
