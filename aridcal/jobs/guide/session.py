@@ -185,7 +185,7 @@ class Session:
 
     def _heads(self, new: Sequence[int]) -> list[int]:
         """Those of new lines that begin a measurement, or are no row: the other rows of an image come with its first."""
-        if not self.campaign.measurements.traits.images:
+        if not self._images:
             return list(new)
         within = set(self.read.lines.tolist()) - set(self.read.index.tolist())
         return [k for k in new if k not in within]
@@ -212,7 +212,7 @@ class Session:
         slip = [] if self.posterior is None else self._moved(at, rows)
         if slip:  # then the row is good after all
             odd_ones = [odd for odd in odd_ones if odd.what != "outlier"]
-        count = len(self.read.lines_of(at)) if self.campaign.measurements.traits.images else 1
+        count = len(self.read.lines_of(at)) if self._images else 1
         events: list[Event] = [RowRead(line, self.good[k], tuple(odd.words for odd in odd_ones), count)]
         events += [Alarm(line, odd.what, odd.words, odd.do) for odd in odd_ones]
         events += slip
@@ -259,7 +259,7 @@ class Session:
         self.suspect = k
         self.off.add(k)
         again = self._witness(at, rows)
-        what = "the camera or the board" if self.campaign.measurements.traits.images else "the tripod or the target"
+        what = "the camera or the board" if self._images else "the tripod or the target"
         do = (
             f"measure row {self.table.line(again)} again: if it is off, too, {what} moved; if not, row {line} was a bad reading"
             if again is not None
@@ -343,7 +343,7 @@ class Session:
     def _numbers(self) -> int:
         """Numbers that a measurement tells of where the target is: of an image those of a body."""
         assert self.posterior is not None
-        if self.campaign.measurements.traits.images:
+        if self._images:
             return len(FRAME_COMPONENTS)
         return sum(channel.size for channel in self.posterior.setup.patterns.channels)
 
@@ -352,7 +352,7 @@ class Session:
         assert self.posterior is not None
         setup = self.posterior.setup
         spread = judged.spread / self.inflation.variance
-        if self.campaign.measurements.traits.images:
+        if self._images:
             G = self._as_if_moved(F[0])
             if G is None:
                 return None
@@ -384,9 +384,7 @@ class Session:
         assert self.posterior is not None
         channels = self.posterior.setup.patterns.channels
         parts = []
-        if not self.campaign.measurements.traits.images and len(judged.error) == sum(
-            channel.size for channel in channels
-        ):
+        if not self._images and len(judged.error) == sum(channel.size for channel in channels):
             for channel, part, sigma in zip(channels, columns(channels), self.posterior.setup.sigma, strict=True):
                 parts.append(f"{np.linalg.norm(judged.error[part]) * sigma * channel.scale:.3g} {channel.shown}")
         return f"{', '.join(parts)}, {judged.sigmas:.1f} sigma".lstrip(", ")
@@ -745,8 +743,8 @@ class Session:
         told = self.beside.numbers >= FEWEST_BESIDE
         if self.tolerance is not None and told and known.position <= self.tolerance:
             return "tolerance", (
-                f"the target is within {1e3 * known.position:.3g} mm in 95 % of the region, with 95 % confidence; asked were "
-                f"{1e3 * self.tolerance:.3g} mm"
+                f"{self._subject} is within {1e3 * known.position:.3g} mm in 95 % of the region, with 95 % confidence; "
+                f"asked were {1e3 * self.tolerance:.3g} mm"
             )
         reachable = self.tolerance is not None and known.more is not None
         if told and not reachable and gain < HARDLY:
@@ -756,10 +754,20 @@ class Session:
                 else f"; {1e3 * self.tolerance:.3g} mm would take more than {FORESEEN} rows more, if it can be had at all"
             )
             return "nothing to gain", (
-                f"ten more rows would make the target less than {100 * HARDLY:.0f} % better known: it is within "
-                f"{1e3 * known.position:.3g} mm{beyond}{NO_LENGTH if self._lacks_length else ''}"
+                f"ten more {'images' if self._images else 'rows'} would make {self._subject} less than {100 * HARDLY:.0f} % "
+                f"better known: it is within {1e3 * known.position:.3g} mm{beyond}{NO_LENGTH if self._lacks_length else ''}"
             )
         return None
+
+    @property
+    def _images(self) -> bool:
+        """Whether images are measured."""
+        return self.campaign.measurements.traits.images
+
+    @property
+    def _subject(self) -> str:
+        """What is known: images tell neither where the base nor where the tip is."""
+        return "the arm between base and tip" if self._images else "the target"
 
     @property
     def _lacks_length(self) -> bool:
