@@ -1,6 +1,9 @@
 """Printed boards in photographs with known truth: where their marks are, what is refused, and what the command writes."""
 
+import os
+import runpy
 import shutil
+import sys
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -358,3 +361,22 @@ def test_bad_use_is_named_with_status_2_and_leaves_an_earlier_table_alone(images
         assert said in capsys.readouterr().err
     assert out.read_text() == "earlier" and [path.name for path in out.parent.iterdir()] == ["c.csv"]
     assert main([str(images), "-o", str(tmp_path / "c.txt")]) == 2
+
+
+def test_the_driver_of_a_camera_folder_takes_the_corners_of_an_image_that_arrives(tmp_path, monkeypatch):
+    """Against where OpenCV projects them; an image that shows nothing has none."""
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    driver = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "guide" / "camera_folder.py"))
+    (tmp_path / "old.png").touch()
+    known = set(tmp_path.iterdir())
+    cv2.imwrite(str(tmp_path / "new.png"), seen("charuco", 1))
+    image = driver["next_image"](tmp_path, known)
+    assert image == tmp_path / "new.png"
+    rows = driver["corners"](image, 3)
+    places = places_on_the_sheet("charuco")
+    assert {row["marker"] for row in rows} == set(places)
+    pixels = pixels_of(np.array([places[row["marker"]] for row in rows]), VIEWS[1])
+    assert np.abs(np.array([[row["u"], row["v"]] for row in rows]) - pixels).max() < 0.25
+    assert {(row["camera"], row["shot"]) for row in rows} == {("eye", "3")}
+    cv2.imwrite(str(tmp_path / "dark.png"), np.zeros((720, 960), dtype=np.uint8))
+    assert driver["corners"](driver["next_image"](tmp_path, known), 4) == []
