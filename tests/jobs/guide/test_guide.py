@@ -15,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -363,6 +364,31 @@ def test_points_of_which_nobody_says_where_they_are_are_found_and_then_proposed(
     for pose in proposed:
         _, p = model.poses(np.zeros(0), model.rows(np.array([[*pose.joints.values()]])))
         assert np.linalg.norm(p[0] - real[pose.labels["point"]]) < 3e-3
+
+
+def test_a_point_touched_for_the_first_time_right_after_the_model_began_is_among_those_to_choose_from(
+    tmp_path: Path,
+) -> None:
+    """A fit takes in all that the table names: taken for known, the point was asked for by hand again and again."""
+    (tmp_path / "scara.urdf").write_text(SCARA)
+    (tmp_path / "campaign.yaml").write_text(SOCKETS.replace("kind: point", "file: measurements.csv, kind: point"))
+    places = {"a": [0.4, 0.2, 0.25], "b": [0.3, -0.3, 0.2], "c": [0.45, 0.1, 0.3], "d": [0.35, 0.3, 0.22]}
+    truth = f"truth: {{n: 40, seed: 1, noise: {{position: 5.0e-5}}, instruments: {{points: {json.dumps(places)}}}}}\n"
+    (tmp_path / "scenario.yaml").write_text(SOCKETS + truth)
+    table = simulate(load_settings(tmp_path / "scenario.yaml", Scenario)).measurements
+    in_turn = [table[table["point"] == name][:count] for name, count in (("a", 3), ("b", 3), ("c", 1), ("d", 1))]
+    order = pd.concat(in_turn).index.tolist()
+    head, *lines = pd.concat(in_turn).to_csv(index=False).encode().splitlines()
+    now = begun(tmp_path)
+    now.table.add(head)
+    began = 0
+    for row, line in enumerate(lines, start=1):
+        now.taken(now.table.add(line))
+        if now.posterior is not None:
+            began = began or row
+            touched = [{"point": name} for name in dict.fromkeys(table["point"][index] for index in order[:row])]
+            assert [*offers(now.posterior.setup).titles] == touched
+    assert began == 6
 
 
 def test_a_point_that_only_a_length_names_is_asked_for_by_hand_until_it_is_touched_or_refused(tmp_path: Path) -> None:
