@@ -20,6 +20,7 @@ from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.guide import main
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead
 from aridcal.jobs.guide.session import Session, session
+from aridcal.jobs.plan.configurations import draw_candidates
 from aridcal.runs.guided_campaign import Incoming, followed
 from aridcal.system.errors import MeasurementError
 
@@ -180,6 +181,28 @@ def test_an_image_of_the_pose_before_is_told_although_its_noise_is_new(cell: Cel
     assert last is not None and isinstance(following, Next)
     said = cell.fed(np.array([*following.joints.values()]), last)
     assert [alarm.what for alarm in alarms(said)] == ["stale"]
+
+
+def test_where_camera_and_board_are_two_images_leave_open_and_three_tell(cell: Cell, tmp_path: Path) -> None:
+    """Rows of one image are many, but of one pose. The pose that is proposed then shows the board."""
+    text = (tmp_path / "campaign.yaml").read_text()
+    text = text.replace(", xyz: [0.05, 0.0, 0.04], rpy: [0.0, 0.0, 0.5]", "")
+    (tmp_path / "campaign.yaml").write_text(text.replace(", xyz: [0.45, 0.0, 0.0], rpy: [0.0, 0.0, 0.2]", ""))
+    assert cell.now.prior is not None
+    poses = draw_candidates(cell.now.prior.setup, 40, 1, np.random.default_rng(3)).readings
+    cell.now = session(load_campaign(tmp_path / "campaign.yaml"), cell.now.robot, None)
+    (first,) = cell.now.taken([])
+    assert isinstance(first, Next) and not first.joints
+    began = 0
+    for number, readings in enumerate(poses[:8], start=1):
+        said = cell.fed(readings)
+        began = began or (number if cell.now.posterior is not None else 0)
+        if began:
+            break
+    assert 3 <= began < 8
+    assert isinstance(said[-1], Next) and said[-1].joints
+    pixels = [[row["u"], row["v"]] for row in cell.image(np.array([*said[-1].joints.values()]))]
+    assert len(pixels) >= 4
 
 
 def test_half_an_image_waits_for_its_other_half(cell: Cell) -> None:
