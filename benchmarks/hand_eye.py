@@ -13,7 +13,9 @@ from the same corners. Ours are `aridcal init` on the table of corners with `cam
 
 ``ratio`` is our median error over that of the method whose median is least, in the camera's position and in its rotation; ``to
 luckiest`` the median of our error over the least error of any method in the same draw, which only the truth can choose.
-``sigma`` is the root mean square of error over predicted sigma, over the six components and all draws: 1 is honest.
+``sigma`` is the root mean square of error over predicted sigma, over the six components and all draws: 1 is honest. ``least``
+is the median error of an estimate that also knows which constants are off, by how much they usually are, and the noise: the
+Bayesian Cramér-Rao bound at the truth of each draw (Van Trees 1968); ``--limit`` prints it alone.
 """
 
 from __future__ import annotations
@@ -69,11 +71,15 @@ class Draw:
         readings: Joints of each image, shape (n, 6), [rad].
         pixels: Corners, shape (n, 24, 2), [px].
         camera: T_tip_camera as it is.
+        arm: As it is.
+        theta: Its constants.
     """
 
     readings: np.ndarray
     pixels: np.ndarray
     camera: pin.SE3
+    arm: Model
+    theta: np.ndarray
 
 
 def drawn(robot: Robot, images: int, real: bool, seed: int) -> Draw:
@@ -93,14 +99,35 @@ def drawn(robot: Robot, images: int, real: bool, seed: int) -> Draw:
         q = joints_for(robot, view(rng) * camera.inverse(), rng)
         if q is None:
             continue
-        R, p = arm.poses(theta, arm.rows(q[None]))
-        seen = (pin.SE3(R[0], p[0]) * camera).inverse() * BOARD
-        corners = project(CORNERS @ seen.rotation.T + seen.translation, np.tile(LENS, (len(CORNERS), 1)))
+        corners = seen(arm, theta, q[None], camera, BOARD)[0]
         corners += NOISE * rng.standard_normal(corners.shape)
         if ((corners > 5) & (corners < np.array(SIZE) - 6)).all():
             readings.append(q)
             pixels.append(corners)
-    return Draw(np.array(readings), np.array(pixels), camera)
+    return Draw(np.array(readings), np.array(pixels), camera, arm, theta)
+
+
+def seen(arm: Model, theta: np.ndarray, readings: np.ndarray, camera: pin.SE3, board: pin.SE3) -> np.ndarray:
+    """Corners of the board in the image of each of n readings, shape (n, 24, 2), [px]."""
+    images = []
+    for R, p in zip(*arm.poses(theta, arm.rows(readings)), strict=True):
+        T = (pin.SE3(R, p) * camera).inverse() * board
+        images.append(project(CORNERS @ T.rotation.T + T.translation, np.tile(LENS, (len(CORNERS), 1))))
+    return np.array(images)
+
+
+def least(draw: Draw, rng: np.random.Generator) -> np.ndarray:
+    """An error of the best estimate there can be: lengths of its two parts, shape (2,), [m] and [rad]."""
+
+    def corners(x: np.ndarray) -> np.ndarray:
+        camera, board = draw.camera * pin.exp6(x[:6]), BOARD * pin.exp6(x[6:12])
+        return seen(draw.arm, draw.theta + x[12:], draw.readings, camera, board).ravel()
+
+    unknowns, step = 12 + len(draw.theta), 1e-6
+    J = np.array([(corners(dx) - corners(-dx)) / (2.0 * step) for dx in step * np.eye(unknowns)]).T / NOISE
+    prior = np.r_[np.zeros(12), np.full(len(draw.theta), WRONG**-2.0)]
+    covariance = np.linalg.inv(J.T @ J + np.diag(prior))[:6, :6]
+    return sizes(rng.multivariate_normal(np.zeros(6), covariance))
 
 
 def view(rng: np.random.Generator) -> pin.SE3:
@@ -172,13 +199,22 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=100)
     parser.add_argument("--images", type=int, nargs="+", default=list(IMAGES))
     parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS))
+    parser.add_argument("--limit", action="store_true")
     arguments = parser.parse_args()
     robot = load_robot(URDF, "tool0")
+    if arguments.limit:
+        for arm in arguments.arms:
+            for images in arguments.images:
+                place, turn = _least(robot, images, arm == "real", arguments.draws)
+                print(f"{arm:7s} {images:2d} images: least {1e3 * place:.3f} mm, {1e3 * turn:.3f} mrad", flush=True)
+        return
     table = Table(title=f"medians of {arguments.draws} draws", title_justify="left")
     heads = (
         "arm",
         "images",
         "ours, mm",
+        "mrad",
+        "least, mm",
         "mrad",
         "best method, mm",
         "mrad",
@@ -207,10 +243,19 @@ def main() -> None:
             median, medians = np.median(ours, axis=0), np.median(theirs, axis=0)  # (2,), (methods, 2)
             best = medians.min(axis=0)
             lucky = np.median(np.array(ours) / np.min(theirs, axis=1), axis=0)
-            figures = [f"{1e3 * v:.3f}" for v in (*median, *best)] + [f"{v:.3f}" for v in (*(median / best), *lucky)]
+            bound = _least(robot, images, arm == "real", arguments.draws)
+            figures = [f"{1e3 * v:.3f}" for v in (*median, *bound, *best)] + [
+                f"{v:.3f}" for v in (*(median / best), *lucky)
+            ]
             table.add_row(arm, str(images), *figures, f"{np.sqrt(np.mean(np.square(over))):.2f}")
     opencv.communicate()
     Console(width=140).print(table)
+
+
+def _least(robot: Robot, images: int, real: bool, draws: int) -> np.ndarray:
+    """Median of :func:`least` over the draws, shape (2,)."""
+    rng = np.random.default_rng(0)
+    return np.asarray(np.median([least(drawn(robot, images, real, seed), rng) for seed in range(draws)], axis=0))
 
 
 def sizes(off: np.ndarray) -> np.ndarray:
