@@ -106,7 +106,7 @@ class Session:
         tolerance: What the target is to be known to in 95 % of the region, [m]; None: as well as can be.
         table: Lines so far.
         read: Them as rows.
-        good: Which lines are in use, by their index.
+        good: Which measurements are in use, by the index of their first line.
         around: Shapes that can touch each other.
         prior: What was known before any row; None where nobody says where all is that rows refer to.
         region: Readings where the target is to be known, shape (R, columns); none until anything is known.
@@ -119,6 +119,7 @@ class Session:
         drawn_with: Whether frames were known then.
         repeated_at: Rows in use when a pose was last measured again.
         rejected: Poses that the user does not want now.
+        first_points: Points of which the model knew when it began: poses are drawn of these.
         point_by_hand: Point that the user was asked to bring the arm to; "" if none.
         skipped_points: Points to which the arm cannot be brought.
         proposed: The last pose that was proposed.
@@ -147,6 +148,7 @@ class Session:
     drawn_at: int = 0
     repeated_at: int = 0
     rejected: tuple[np.ndarray, ...] = ()
+    first_points: frozenset[str] = frozenset()
     point_by_hand: str = ""
     skipped_points: set[str] = field(default_factory=set)
     suspect: int | None = None
@@ -483,9 +485,8 @@ class Session:
         knows = np.ones(len(rows), dtype=bool)
         if rows.labels.target is not None:
             knows &= np.isin(rows.labels.target.astype(str), [str(name) for name, _ in model.tip_target])
-        if rows.blocks[0].traits.touches:
-            # Not the model's own points: a fit takes in all that the table names, poses are drawn of those it began with.
-            return knows & np.isin(rows.labels.refers[:, 0], self.posterior.setup.patterns.labels.refers[:, 0])
+        if rows.blocks[0].traits.touches:  # not the model's own points: a fit takes in all that the table names
+            return knows & np.isin(rows.labels.refers[:, 0], [*self.first_points])
         for k, role in enumerate(rows.blocks[0].traits.roles):
             things = model.instruments.things.get(role.name)
             if things is not None:
@@ -516,6 +517,9 @@ class Session:
             if not len(self.region):
                 self.region = region_readings(setup, None, self.rng)[:PLACES]
             self.posterior = before_rows(setup)
+            self.first_points = frozenset(
+                [*rows.labels.refers[:, 0].tolist(), *setup.patterns.labels.refers[:, 0].tolist()]
+            )
             self._fit()
             self._fit()  # in the noise and the sizes that the first one suggests
         return []
