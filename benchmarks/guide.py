@@ -16,6 +16,7 @@ the same model. At the stop the calibration that is delivered is asked, too.
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import tempfile
@@ -130,15 +131,62 @@ class Cell:
 
     def error(self, posterior: Posterior) -> float:
         """95th percentile over the region of the target's error, [m]."""
-        setup = posterior.setup
-        theta = setup.theta + posterior.step[posterior.things :]
-        pattern = setup.patterns.select(np.zeros(len(self.places), dtype=int))
-        _, p = setup.model.poses(theta, rows_of_data(setup.model, pattern, self.places))
+        _, p = poses_now(posterior, self.places)
         return float(np.quantile(np.linalg.norm(p - self.truth(), axis=1), 0.95))
 
     def truth(self) -> np.ndarray:
         """Where the target really is at the places, shape (R, 3), [m]."""
         return self.arm.model.poses(self.arm.simulation.theta, self.arm.model.rows(self.places))[1]
+
+
+def poses_now(posterior: Posterior, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of the target at readings of n places, (n, 3, 3) and (n, 3), [m], as they are known now."""
+    setup = posterior.setup
+    theta = setup.theta + posterior.step[posterior.things :]
+    pattern = setup.patterns.select(np.zeros(len(places), dtype=int))
+    return setup.model.poses(theta, rows_of_data(setup.model, pattern, places))
+
+
+def delivered_poses(folder: Path, now: Session, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of the calibration that is delivered."""
+    (folder / "measurements.csv").write_bytes(now.table.text(list(range(len(now.table.rows)))))
+    job = read_job(to_calibrate(now))
+    job = replace(job, rows=replace(job.rows, test=np.zeros(len(job.rows), dtype=bool)))
+    fit = identify(job).stages[-1].fit
+    still = {f"{name}_direction": np.zeros(len(places)) for name in now.robot.readings}
+    return fit.model.poses(fit.theta, fit.model.rows(places, still))
+
+
+def draws_of(description: str | None) -> argparse.ArgumentParser:
+    """Arguments of a benchmark of drawn cells."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("draws", type=int, nargs="?", default=3)
+    parser.add_argument("--first", type=int, default=0, metavar="SEED")
+    parser.add_argument("--arm", choices=list(ARMS), action="append")
+    return parser
+
+
+def print_draws(arguments: argparse.Namespace, draw: Callable[[Path, str, int], tuple[float, ...]]) -> None:
+    """A line for each arm.
+
+    Args:
+        arguments: Of :func:`draws_of`.
+        draw: Of a folder, an arm and a seed: floor, rows until twice that is kept, led and at random, rows at the stop, whether
+            it was said that the tolerance is kept, whether it is, and the share of what was said to be known that held.
+    """
+    print("arm     floor mm  guided  random  /random  stopped at  truth within  claims that hold", flush=True)
+    for arm in arguments.arm or ARMS:
+        figures = []
+        for seed in range(arguments.first, arguments.first + arguments.draws):
+            with tempfile.TemporaryDirectory() as name:
+                figures.append(draw(Path(name), arm, seed))
+        every = np.array(figures)
+        floor, guided, random, stop, *_ = np.median(every, axis=0)
+        print(
+            f"{arm:7s} {1e3 * floor:8.3f} {guided:7.0f} {random:7.0f} {np.median(every[:, 1] / every[:, 2]):8.2f} {stop:11.0f} "
+            f"{int(every[:, 5].sum()):6d} of {int(every[:, 4].sum())} {np.mean(every[:, 6]):12.2f}",
+            flush=True,
+        )
 
 
 def cell(folder: Path, arm: str, kind: str, seed: int) -> Cell:
@@ -328,12 +376,7 @@ def _mixture(some: RowChoice, n: int) -> float:
 
 def _delivered(folder: Path, one: Cell, now: Session) -> float:
     """95th percentile over the region of the error of the calibration that is delivered, [m]."""
-    (folder / "measurements.csv").write_bytes(now.table.text(list(range(len(now.table.rows)))))
-    job = read_job(to_calibrate(now))
-    job = replace(job, rows=replace(job.rows, test=np.zeros(len(job.rows), dtype=bool)))
-    fit = identify(job).stages[-1].fit
-    still = {f"{name}_direction": np.zeros(len(one.places)) for name in one.arm.simulation.robot.readings}
-    _, p = fit.model.poses(fit.theta, fit.model.rows(one.places, still))
+    _, p = delivered_poses(folder, now, one.places)
     return float(np.quantile(np.linalg.norm(p - one.truth(), axis=1), 0.95))
 
 

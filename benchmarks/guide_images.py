@@ -14,9 +14,8 @@ it is said that the tolerance is kept; and all that was said to be known.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,20 +23,16 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 import yaml
-from guide import ARMS, _gone_on, cell, of, until
+from guide import ARMS, _gone_on, cell, delivered_poses, draws_of, of, poses_now, print_draws, until
 from hand_eye import CORNERS, LENS, SIZE
 from hand_eye import NOISE as PIXELS
 
 from aridcal.engine.instruments.camera import project
-from aridcal.engine.model.predictions import rows_of_data
 from aridcal.files.campaign import load_campaign
-from aridcal.jobs.calibrate.job_inputs import read_job
-from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.guide.events import Alarm, Known, Next, Stop
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.plan.configurations import draw_candidates
 from aridcal.jobs.simulate.live import LiveArm
-from aridcal.runs.guided_campaign import to_calibrate
 
 FLOOR_IMAGES, MOST_IMAGES = 100, 60
 HINT_PLACE, HINT_TURN = 3e-3, 1e-2
@@ -118,20 +113,7 @@ def error(now: Session, eye: Eye) -> float:
     """95th percentile over the region of the tip's error now, [m]; see :func:`left`."""
     if now.posterior is None:
         return np.inf
-    setup = now.posterior.setup
-    theta = setup.theta + now.posterior.step[now.posterior.things :]
-    pattern = setup.patterns.select(np.zeros(len(now.region), dtype=int))
-    return left(*setup.model.poses(theta, rows_of_data(setup.model, pattern, now.region)), now, eye)
-
-
-def delivered(folder: Path, now: Session, eye: Eye) -> float:
-    """The same of the calibration that is delivered."""
-    (folder / "measurements.csv").write_bytes(now.table.text(list(range(len(now.table.rows)))))
-    job = read_job(to_calibrate(now))
-    job = replace(job, rows=replace(job.rows, test=np.zeros(len(job.rows), dtype=bool)))
-    fit = identify(job).stages[-1].fit
-    still = {f"{name}_direction": np.zeros(len(now.region)) for name in now.robot.readings}
-    return left(*fit.model.poses(fit.theta, fit.model.rows(now.region, still)), now, eye)
+    return left(*poses_now(now.posterior, now.region), now, eye)
 
 
 def left(R: np.ndarray, p: np.ndarray, now: Session, eye: Eye) -> float:
@@ -180,7 +162,8 @@ def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
         led.append(error(now, eye))
         claims += [led[-1] <= event.position for event in events if isinstance(event, Known)]
         if isinstance(events[-1], Stop):
-            stop, said, within = len(led), events[-1].why == "tolerance", delivered(folder, now, eye) <= tolerance
+            stop, said = len(led), events[-1].why == "tolerance"
+            within = left(*delivered_poses(folder, now, now.region), now, eye) <= tolerance
     kept = until(led, tolerance), until(random, tolerance)
     return random[-1], *kept, stop, float(said), float(said and within), float(np.mean(claims))
 
@@ -235,28 +218,13 @@ def faults(arms: list[str], seeds: range) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("draws", type=int, nargs="?", default=3)
-    parser.add_argument("--first", type=int, default=0, metavar="SEED")
-    parser.add_argument("--arm", choices=list(ARMS), action="append")
+    parser = draws_of(__doc__)
     parser.add_argument("--faults", action="store_true")
     arguments = parser.parse_args()
     if arguments.faults:
         faults(arguments.arm or list(ARMS), range(arguments.first, arguments.first + arguments.draws))
-        return
-    print("arm     floor mm  guided  random  /random  stopped at  truth within  claims that hold", flush=True)
-    for arm in arguments.arm or ARMS:
-        figures = []
-        for seed in range(arguments.first, arguments.first + arguments.draws):
-            with tempfile.TemporaryDirectory() as name:
-                figures.append(draw(Path(name), arm, seed))
-        every = np.array(figures)
-        floor, guided, random, stop, *_ = np.median(every, axis=0)
-        print(
-            f"{arm:7s} {1e3 * floor:8.3f} {guided:7.0f} {random:7.0f} {np.median(every[:, 1] / every[:, 2]):8.2f} {stop:11.0f} "
-            f"{int(every[:, 5].sum()):6d} of {int(every[:, 4].sum())} {np.mean(every[:, 6]):12.2f}",
-            flush=True,
-        )
+    else:
+        print_draws(arguments, draw)
 
 
 if __name__ == "__main__":

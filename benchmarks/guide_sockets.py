@@ -14,21 +14,18 @@ tolerance is said to be kept.
 
 from __future__ import annotations
 
-import argparse
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import yaml
-from guide import ARMS, FLOOR_ROWS, MOST_ROWS, NOISE, cell, until
+from guide import FLOOR_ROWS, MOST_ROWS, NOISE, cell, draws_of, poses_now, print_draws, until
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.inverse.reachable import draw_readings, inner_limits
-from aridcal.engine.model.predictions import rows_of_data
 from aridcal.files.campaign import load_campaign
-from aridcal.jobs.guide.events import Next, Stop
+from aridcal.jobs.guide.events import Known, Next, Stop
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.simulate.live import LiveArm
 
@@ -117,10 +114,7 @@ def error(now: Session, ball: Ball) -> float:
     """95th percentile over the region of the target's error, the base laid over the true one, [m]."""
     if now.posterior is None:
         return np.inf
-    setup = now.posterior.setup
-    theta = setup.theta + now.posterior.step[now.posterior.things :]
-    pattern = setup.patterns.select(np.zeros(len(now.region), dtype=int))
-    _, p = setup.model.poses(theta, rows_of_data(setup.model, pattern, now.region))
+    _, p = poses_now(now.posterior, now.region)
     true = ball.places(now.region)
     p, true = p - p.mean(axis=0), true - true.mean(axis=0)
     turn, _ = Rotation.align_vectors(true, p)
@@ -136,7 +130,7 @@ def fed(now: Session, ball: Ball, readings: np.ndarray, name: str) -> list[objec
 
 
 def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
-    """One draw: floor, rows of each way, at the stop, whether the tolerance is said to be kept, and is."""
+    """One draw: floor, rows of each way, at the stop, whether the tolerance is said to be kept, and is; true claims."""
     ball, rng = workcell(folder, arm, seed), np.random.default_rng([seed, 13])
     campaign, robot = load_campaign(folder / "campaign.yaml"), ball.arm.simulation.robot
     names = list(ball.sockets)
@@ -151,6 +145,7 @@ def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
     now = session(campaign, robot, tolerance)
     events: list[object] = list(now.taken([]))
     led: list[float] = []
+    claims: list[bool] = []
     stop, said, within = 0, False, False
     while len(led) < MOST_ROWS:
         following = events[-1]
@@ -169,28 +164,13 @@ def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
             q = ball.anywhere(name, rng)
         events = fed(now, ball, q, name)
         led.append(error(now, ball))
-    return random[-1], until(led, tolerance), until(random, tolerance), stop, float(said), float(said and within)
+        claims += [led[-1] <= event.position for event in events if isinstance(event, Known)]
+    kept = until(led, tolerance), until(random, tolerance)
+    return random[-1], *kept, stop, float(said), float(said and within), float(np.mean(claims))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("draws", type=int, nargs="?", default=3)
-    parser.add_argument("--first", type=int, default=0, metavar="SEED")
-    parser.add_argument("--arm", choices=list(ARMS), action="append")
-    arguments = parser.parse_args()
-    print("arm     floor mm  guided  random  /random  stopped at  truth within", flush=True)
-    for arm in arguments.arm or ARMS:
-        figures = []
-        for seed in range(arguments.first, arguments.first + arguments.draws):
-            with tempfile.TemporaryDirectory() as name:
-                figures.append(draw(Path(name), arm, seed))
-        every = np.array(figures)
-        floor, guided, random, stop, *_ = np.median(every, axis=0)
-        print(
-            f"{arm:7s} {1e3 * floor:8.3f} {guided:7.0f} {random:7.0f} {np.median(every[:, 1] / every[:, 2]):8.2f} {stop:11.0f} "
-            f"{int(every[:, 5].sum()):6d} of {int(every[:, 4].sum())}",
-            flush=True,
-        )
+    print_draws(draws_of(__doc__).parse_args(), draw)
 
 
 if __name__ == "__main__":

@@ -65,12 +65,12 @@ def main(campaign: str, folder: Path) -> None:
     seen = set(folder.iterdir())
     for shot, pose in enumerate(guided, start=1):
         print(pose.why, dict(pose.joints))
-        rows = corners(next_image(folder, seen), shot)
+        rows, here = corners(next_image(folder, seen), shot), joints()
         if not rows:
             print("the board is not seen: another pose")
             pose.reject()
             continue
-        for alarm in pose.record([{**joints(), **row} for row in rows]):
+        for alarm in pose.record([{**here, **row} for row in rows]):
             print(alarm.what.upper(), alarm.words, "Do:", alarm.do)
     aridcal.calibrate(guided.campaign).save("results")
 

@@ -314,14 +314,16 @@ class Session:
     def _frames(self) -> dict[str, np.ndarray]:
         """Columns of each frame, camera and board that can move, at most six."""
         assert self.posterior is not None
-        names, things = self.posterior.setup.model.names, self.posterior.things
         roles = self.posterior.setup.model.instruments.things.values()
         placed = (*MOUNTING_FRAMES, *(name for t in roles if not t.role.many for name in t.names))
-        columns_of = {
-            where: [things + names.index(f"{where}.{c}") for c in FRAME_COMPONENTS if f"{where}.{c}" in names]
-            for where in placed
-        }
-        return {where: np.array(some) for where, some in columns_of.items() if some}
+        return {where: some for where in placed if len(some := self._open(where))}
+
+    def _open(self, where: str) -> np.ndarray:
+        """Columns of the components of a place that are unknown, at most six."""
+        assert self.posterior is not None
+        names, things = self.posterior.setup.model.names, self.posterior.things
+        numbers = [things + names.index(name) for c in FRAME_COMPONENTS if (name := f"{where}.{c}") in names]
+        return np.array(numbers, dtype=int)
 
     def _is_unsure(self, at: int) -> bool:
         """Whether a row that is off among few may be good, and another bad: the rows to come tell. It is then in use."""
@@ -373,13 +375,9 @@ class Session:
 
         Not turned besides: turns look like moves from so near, and of both together an image tells little.
         """
-        assert self.posterior is not None
-        names = self.posterior.setup.model.names
-        for where in (*self._frames(), *reversed(self.robot.names)):
-            some = [self.posterior.things + names.index(n) for c in FRAME_COMPONENTS if (n := f"{where}.{c}") in names]
-            if len(some) == len(FRAME_COMPONENTS):
-                return F[:, some[:AXES]]
-        return None
+        places = (self._open(where) for where in (*self._frames(), *reversed(self.robot.names)))
+        whole = next((some for some in places if len(some) == len(FRAME_COMPONENTS)), None)
+        return None if whole is None else F[:, whole[:AXES]]
 
     def _size(self, judged: Verdict) -> str:
         """How far off a row is, in words."""
