@@ -4,6 +4,8 @@ Example:
     python benchmarks/guide_endurance.py            # both
     python benchmarks/guide_endurance.py attacks    # minutes
     python benchmarks/guide_endurance.py long 5000  # rows in batches, one by one at the end; and all at once
+    python benchmarks/guide_endurance.py looks 8    # all looks at the table and of the page in 8 hours, without their pauses
+    python benchmarks/guide_endurance.py clock 8    # 8 hours by the clock, the page open
 
 The command runs as a child of its own, as a user starts it, on a UR10 whose constants are all off by a millimetre or a
 milliradian. Each attack appends rows; afterwards every row that was written whole must have been answered once, under a line
@@ -38,6 +40,15 @@ GROWS = 1.3
 """Times as much memory at the end of the long run as at its half: more is growth without bound. Rows themselves double."""
 
 PATIENCE = 300.0  # [s] for one answer
+
+DAY_ROWS = 60
+"""Rows that come in the hours that are asked for, at equal times: fewer than after which the guide stops by itself."""
+
+QUARTERS = 4
+"""Times at which the memory is told; the first one counts as begun."""
+
+PAGE_ASKS = 0.3  # [s], as the page does
+HOUR = 3600.0  # [s]
 
 
 @dataclass
@@ -299,17 +310,92 @@ def at_once(n: int) -> bool:
     return well
 
 
+def clock(hours: float) -> bool:
+    """Hours by the clock: rows come at equal times, the page asks as an open one does."""
+    with tempfile.TemporaryDirectory() as name:
+        guide = _begun(Path(name), DAY_ROWS)
+        guide.append(guide.lines[0] + b"\n")
+        begun, asked, memory, slowest = time.monotonic(), 0, [], 0.0
+        for n in range(1, DAY_ROWS + 1):
+            guide.append(guide.some(1)[0] + b"\n")
+            took = guide.wait(n)
+            slowest = max(slowest, took if n > 1 else 0.0)  # the first one waits for the program to begin
+            while time.monotonic() - begun < n * hours * HOUR / DAY_ROWS and guide.child.poll() is None:
+                with urllib.request.urlopen(guide.url + f"state?have={asked}", timeout=10) as state:
+                    state.read()
+                asked += 1
+                time.sleep(PAGE_ASKS)
+            if n % (DAY_ROWS // QUARTERS) == 0 and guide.child.poll() is None:
+                memory.append(guide.memory())
+                print(
+                    f"{(time.monotonic() - begun) / HOUR:.2f} h, {n} rows, page asked {asked} times: "
+                    f"{memory[-1] / MEGA:.1f} MB, slowest answer {slowest:.2f} s",
+                    flush=True,
+                )
+        rows = guide.answered()
+        guide.end()
+    return rows == list(range(2, 2 + DAY_ROWS)) and len(memory) == QUARTERS and memory[-1] < GROWS * memory[0]
+
+
+def looks(hours: float) -> bool:
+    """All looks of so many hours one after another, and what the page asks between them."""
+    from aridcal.files.campaign import load_campaign, nominal_robot
+    from aridcal.jobs.guide.session import session
+    from aridcal.runs.guide_server import Board, GuideServer
+    from aridcal.runs.guided_campaign import LOOK_EVERY, Incoming, followed
+
+    every = round(hours * HOUR / LOOK_EVERY)
+    done, memory = 0, []
+    with tempfile.TemporaryDirectory() as name:
+        simulated(Path(name), DAY_ROWS)
+        campaign = load_campaign(Path(name) / "campaign.yaml")
+        (table,) = campaign.measurements.files
+        lines = table.read_bytes().splitlines(keepends=True)
+        table.write_bytes(lines[0])
+        incoming, board = Incoming(), Board("a day", None, str(table))
+        server = GuideServer(board, incoming)
+
+        def pause(_: float) -> None:
+            nonlocal done
+            done += 1
+            if done * LOOK_EVERY % PAGE_ASKS < LOOK_EVERY:
+                with urllib.request.urlopen(server.url + "state", timeout=10) as state:
+                    state.read()
+            if done % (every // DAY_ROWS) == 1 and done // (every // DAY_ROWS) < DAY_ROWS:
+                with table.open("ab") as file:
+                    file.write(lines[1 + done // (every // DAY_ROWS)])
+            if done % (every // QUARTERS) == 0:
+                memory.append(_resident("self"))
+                print(f"{done} looks: {memory[-1] / MEGA:.1f} MB", flush=True)
+            if done == every:
+                incoming.lines.put("stop")
+
+        told = 0
+        for events in followed(session(campaign, nominal_robot(campaign), None), incoming, pause):
+            board.note(events)
+            told += sum(isinstance(event, RowRead) for event in events)
+    print(f"{told} of {DAY_ROWS} rows answered")
+    return told == DAY_ROWS and len(memory) == QUARTERS and memory[-1] < GROWS * memory[0]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="?", choices=("attacks", "long", "all"), default="all")
-    parser.add_argument("count", nargs="?", type=int, help="rounds of attacks (3), rows of the long run (5000)")
+    parser.add_argument("what", nargs="?", choices=("attacks", "long", "looks", "clock", "all"), default="all")
+    parser.add_argument(
+        "count", nargs="?", type=float, help="rounds of attacks (3), rows of the long run (5000), hours (8)"
+    )
     arguments = parser.parse_args()
+    count = 0.0 if arguments.what == "all" else arguments.count or 0.0
     good = True
     if arguments.what in ("attacks", "all"):
-        good &= attacks(arguments.count or 3)
+        good &= attacks(int(count) or 3)
     if arguments.what in ("long", "all"):
-        good &= long(arguments.count or 5000)
-        good &= at_once(arguments.count or 5000)
+        good &= long(int(count) or 5000)
+        good &= at_once(int(count) or 5000)
+    if arguments.what in ("looks", "all"):
+        good &= looks(count or 8)
+    if arguments.what == "clock":
+        good &= clock(count or 8)
     return 0 if good else 1
 
 
