@@ -2,6 +2,7 @@
 
     python benchmarks/guide.py              # all of it, a few draws: minutes
     python benchmarks/guide.py rows 50      # rows until twice the floor is kept, over random ones and over one plan
+    python benchmarks/guide.py rows 10 --first 20 --arm UR10 --kind pose  # draws 20 to 29 of one cell
     python benchmarks/guide.py limit 2      # the fewest rows of any choice that knows the machine, over random ones
     python benchmarks/guide.py faults 50    # faults put in: told within two rows; alarms without a fault
     python benchmarks/guide.py early 10     # a bad row at each of the first ten places
@@ -10,8 +11,9 @@
 A draw is a machine: each constant off by 1 mm or 1 mrad, a harmonic of 0.2 mrad in each gear, frames anywhere. The floor is
 the error of the target, at the 95th percentile of the region, that is left after 200 random rows. What is kept is judged by
 the truth: rows until the model of the moment errs by less than the tolerance in 95 % of the region, and goes on to; of plans,
-the smallest one whose model does, and those of all larger ones. Random rows are of poses that can be measured, and fitted by
-the same model. At the stop the calibration that is delivered is asked, too.
+the smallest one whose model does, and those of all larger ones. Random rows are of poses that can be measured; they and those
+of plans are fitted by the same model, and taken for good without being judged. At the stop the calibration that is delivered is
+asked, too.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +39,10 @@ from aridcal.files.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.job_inputs import read_job
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.jobs.guide.events import Alarm, Event, Next, Stop
+from aridcal.jobs.guide.events import Alarm, Event, Known, Next, Stop
 from aridcal.jobs.guide.next_pose import pool
 from aridcal.jobs.guide.posterior import Posterior, inverse
+from aridcal.jobs.guide.row_reading import rows_so_far
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.plan.configurations import draw_candidates
 from aridcal.jobs.plan.pose_design import PlanRequest, design
@@ -157,6 +161,34 @@ def delivered_poses(folder: Path, now: Session, places: np.ndarray) -> tuple[np.
     return fit.model.poses(fit.theta, fit.model.rows(places, still))
 
 
+@dataclass(frozen=True)
+class Draw:
+    """What one draw came to: rows, or images.
+
+    Attributes:
+        floor: [m].
+        guided: Until twice the floor is kept, led.
+        random: At random.
+        plan: The smallest plan that keeps it; NaN where nothing can be planned.
+        stop: At the stop; 0 where there was none.
+        said: Whether it was said that the tolerance is kept.
+        within: Whether it is, of the calibration that is delivered.
+        claims: Share of what was said to be known that held.
+    """
+
+    floor: float
+    guided: int
+    random: int
+    plan: float
+    stop: int
+    said: bool
+    within: bool
+    claims: float
+
+
+COLUMNS = "floor mm  guided  random  plan  /random  /plan  stopped at  truth within  claims that hold"
+
+
 def draws_of(description: str | None) -> argparse.ArgumentParser:
     """Arguments of a benchmark of drawn cells."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -166,27 +198,29 @@ def draws_of(description: str | None) -> argparse.ArgumentParser:
     return parser
 
 
-def print_draws(arguments: argparse.Namespace, draw: Callable[[Path, str, int], tuple[float, ...]]) -> None:
-    """A line for each arm.
+def print_draws(title: str, seeds: range, draw: Callable[[Path, int], Draw]) -> None:
+    """A line for each draw as it comes, of a folder and a seed; then one of them all: medians, and sums of what is counted."""
+    figures = []
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as name:
+            figures.append(draw(Path(name), seed))
+        print(_line(f"{title} seed {seed}", figures[-1:]), flush=True)
+    print(_line(f"{title} all {len(figures)}", figures), flush=True)
 
-    Args:
-        arguments: Of :func:`draws_of`.
-        draw: Of a folder, an arm and a seed: floor, rows until twice that is kept, led and at random, rows at the stop, whether
-            it was said that the tolerance is kept, whether it is, and the share of what was said to be known that held.
-    """
-    print("arm     floor mm  guided  random  /random  stopped at  truth within  claims that hold", flush=True)
-    for arm in arguments.arm or ARMS:
-        figures = []
-        for seed in range(arguments.first, arguments.first + arguments.draws):
-            with tempfile.TemporaryDirectory() as name:
-                figures.append(draw(Path(name), arm, seed))
-        every = np.array(figures)
-        floor, guided, random, stop, *_ = np.median(every, axis=0)
-        print(
-            f"{arm:7s} {1e3 * floor:8.3f} {guided:7.0f} {random:7.0f} {np.median(every[:, 1] / every[:, 2]):8.2f} {stop:11.0f} "
-            f"{int(every[:, 5].sum()):6d} of {int(every[:, 4].sum())} {np.mean(every[:, 6]):12.2f}",
-            flush=True,
-        )
+
+def _line(title: str, figures: list[Draw]) -> str:
+    """A line of a table."""
+
+    def median(values: Iterable[float]) -> float:
+        return float(np.median([*values]))
+
+    return (
+        f"{title:28s} {1e3 * median(d.floor for d in figures):8.3f} {median(d.guided for d in figures):7.0f} "
+        f"{median(d.random for d in figures):7.0f} {median(d.plan for d in figures):5.0f} "
+        f"{median(d.guided / d.random for d in figures):8.2f} {median(d.guided / d.plan for d in figures):6.2f} "
+        f"{median(d.stop for d in figures):11.0f} {sum(d.within for d in figures):6d} of {sum(d.said for d in figures)} "
+        f"{np.mean([d.claims for d in figures]):12.3f}"
+    )
 
 
 def cell(folder: Path, arm: str, kind: str, seed: int) -> Cell:
@@ -237,76 +271,100 @@ def of(event: Next) -> np.ndarray:
     return np.array(list(event.joints.values()))
 
 
-def fast(now: Session, one: Cell, poses: np.ndarray) -> Iterator[float]:
-    """The true error after each of some poses, nothing proposed."""
-    now._ahead = lambda: []  # type: ignore[method-assign]
-    for readings in poses:
-        fed(now, one, readings)
-        yield np.inf if now.posterior is None else one.error(now.posterior)
+COUNTS = (*range(3, 40), *range(40, 100, 2), *range(100, FLOOR_ROWS + 1, 5))
+"""Rows after which models of random rows are looked at."""
+
+PLAN_FITS = 4
 
 
-def until(errors: list[float], tolerance: float) -> int:
-    """Rows from which on the error stays within a tolerance."""
-    bad = [n for n, error in enumerate(errors, start=1) if error > tolerance]
+def models(now: Session, counts: Iterable[int]) -> Iterator[Posterior | None]:
+    """The model of the moment after so many of the measurements in the table, all of them good."""
+    now.read = rows_so_far(now.campaign, now.robot, now.table, now.read)
+    for n in counts:
+        now.good = {int(k): True for k in now.read.index[:n]}
+        if now.posterior is not None and not now._knows()[:n].all():
+            now.posterior = None  # with what is new the model begins anew
+        if now.posterior is None:
+            now._begin(0)
+        else:
+            now._fit()
+        yield now.posterior
+
+
+def until(errors: Sequence[float], tolerance: float, counts: Sequence[int] | None = None) -> int:
+    """Rows from which on the error stays within a tolerance, which is more than that at the last count where it does not."""
+    bad = [n for n, error in zip(counts or range(1, len(errors) + 1), errors, strict=True) if error > tolerance]
     return (bad[-1] if bad else 0) + 1
 
 
-def rows(draws: int) -> None:
+def smallest_plan(keeps: Callable[[int], bool], plans: Sequence[int] = PLANS) -> float:
+    """The smallest plan that keeps the tolerance, and all larger ones; NaN if the largest does not."""
+    planned = np.nan
+    for count in reversed(plans):
+        if not keeps(count):
+            break
+        planned = count
+    return planned
+
+
+@cache
+def _planned(arm: str, kind: str, count: int) -> np.ndarray:
+    """Readings of a plan, shape (count, columns): it knows nothing of the machine that is drawn."""
+    with tempfile.TemporaryDirectory() as name:
+        one = cell(Path(name), arm, kind, 0)
+        return design(beforehand(one.campaign, one.arm.simulation.robot), PlanRequest(count)).readings
+
+
+def _fresh(one: Cell, poses: np.ndarray) -> Session:
+    """A session with poses measured, none of them looked at yet."""
+    one.arm.poses.clear()
+    now = session(one.campaign, one.arm.simulation.robot, None)
+    for readings in poses:
+        head, line = one.line(readings)
+        if not now.table.head:
+            now.table.add(head)
+        now.table.add(line)
+    return now
+
+
+def rows(arguments: argparse.Namespace) -> None:
     """Rows until twice the floor is kept: guided, random, planned beforehand; and the truth at the stop."""
-    print("arm     kind      floor mm  guided  random  plan   /random  /plan   stopped at  truth within", flush=True)
-    for arm in ARMS:
-        for kind in NOISE:
-            figures, kept = [], []
-            for seed in range(draws):
-                with tempfile.TemporaryDirectory() as name:
-                    figures.append(_one(Path(name), arm, kind, seed))
-                kept.append(figures[-1][-1])
-            floor, guided, random, plan, stop, _ = np.median(np.array(figures), axis=0)
-            ratios = np.array(figures)
-            print(
-                f"{arm:7s} {kind:9s} {1e3 * floor:8.3f} {guided:7.0f} {random:7.0f} {plan:5.0f} "
-                f"{np.median(ratios[:, 1] / ratios[:, 2]):8.2f} {np.median(ratios[:, 1] / ratios[:, 3]):6.2f} {stop:10.0f} "
-                f"{int(np.sum(kept)):6d} of {draws}",
-                flush=True,
-            )
+    print(f"{'':28s} {COLUMNS}", flush=True)
+    for arm in arguments.arm or ARMS:
+        for kind in arguments.kind or NOISE:
+            seeds = range(arguments.first, arguments.first + arguments.draws)
+            print_draws(f"{arm} {kind}", seeds, partial(_one, arm, kind))
 
 
-def _one(folder: Path, arm: str, kind: str, seed: int) -> tuple[float, ...]:
-    """One draw: floor, rows of each way, rows at the stop, and whether the truth is within."""
+def _one(arm: str, kind: str, folder: Path, seed: int) -> Draw:
+    """One draw."""
     one = cell(folder, arm, kind, seed)
     robot, rng = one.arm.simulation.robot, np.random.default_rng([seed, 8])
     prior = session(one.campaign, robot, None).prior
     assert prior is not None  # poses and positions need no things
-    pool = draw_candidates(prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings
-
-    def anew() -> tuple[Session, Cell]:
-        one.arm.poses.clear()
-        return session(one.campaign, robot, None), one
-
-    random = list(fast(*anew(), pool))
+    drawn = draw_candidates(prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings
+    random = [np.inf if known is None else one.error(known) for known in models(_fresh(one, drawn), COUNTS)]
     tolerance = 2.0 * random[-1]
-    planned = PLANS[-1]
-    for count in reversed(PLANS):  # as of rows: from there on, all keep it
-        if list(fast(*anew(), design(beforehand(one.campaign, robot), PlanRequest(count)).readings))[-1] > tolerance:
-            break
-        planned = count
+
+    def keeps(count: int) -> bool:
+        *_, known = models(_fresh(one, _planned(arm, kind, count)), (count // 2, *PLAN_FITS * (count,)))
+        return known is not None and one.error(known) <= tolerance
+
+    planned = smallest_plan(keeps)
     now = session(one.campaign, robot, tolerance)
     one.arm.poses.clear()
-    events, stop, within = now.taken([]), 0, False
+    events, stop, said, within = now.taken([]), 0, False, False
     guided: list[float] = []
+    claims: list[bool] = []
     while len(guided) < MOST_ROWS and isinstance(events[-1], Next):
         events = fed(now, one, of(events[-1]))
         guided.append(np.inf if now.posterior is None else one.error(now.posterior))
+        claims += [guided[-1] <= event.position for event in events if isinstance(event, Known)]
         if isinstance(events[-1], Stop):
-            stop, within = len(guided), _delivered(folder, one, now) <= tolerance
-    return (
-        random[-1],
-        until(guided, tolerance),
-        until(random, tolerance),
-        planned,
-        stop,
-        float(within),
-    )
+            stop, said = len(guided), events[-1].why == "tolerance"
+            within = said and _delivered(folder, one, now) <= tolerance
+    kept = until(guided, tolerance), until(random, tolerance, COUNTS)
+    return Draw(random[-1], *kept, planned, stop, said, within, float(np.mean(claims)))
 
 
 CANDIDATES, STEPS = 600, 400
@@ -337,12 +395,12 @@ def limit(draws: int) -> None:
 def _limit(folder: Path, arm: str, kind: str, seed: int) -> tuple[int, int, int]:
     """One draw: rows until twice the sigma of 200 random ones is kept: random, greedy, and the bound."""
     one = cell(folder, arm, kind, seed)
-    now = session(one.campaign, one.arm.simulation.robot, None)
-    assert now.prior is not None
+    prior = session(one.campaign, one.arm.simulation.robot, None).prior
+    assert prior is not None
     rng = np.random.default_rng([seed, 8])
-    for _ in fast(now, one, draw_candidates(now.prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings):
-        pass
-    known, read = now.posterior, now.read.rows
+    now = _fresh(one, draw_candidates(prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings)
+    *_, known = models(now, COUNTS)
+    read = now.read.rows
     assert known is not None and read is not None
     F, r = now._columns(np.arange(len(read)))
     some = pool(known.with_rows(F, r, -1.0), draw_candidates(known.setup, CANDIDATES, 1, rng), now.region, None).choice
@@ -550,17 +608,19 @@ def seconds() -> None:
 
 def main() -> None:
     """Run what was asked for."""
-    what = sys.argv[1] if len(sys.argv) > 1 else "all"
-    draws = int(sys.argv[2]) if len(sys.argv) > 2 else 2
+    parser = draws_of(__doc__)
+    parser.add_argument("--kind", choices=list(NOISE), action="append")
+    what, *others = sys.argv[1:] or ["all"]
+    arguments = parser.parse_args(others)
     with one_thread():
         if what in ("rows", "all"):
-            rows(draws)
+            rows(arguments)
         if what in ("limit", "all"):
-            limit(draws)
+            limit(arguments.draws)
         if what in ("faults", "all"):
-            faults(draws)
+            faults(arguments.draws)
         if what in ("early", "all"):
-            early(draws)
+            early(arguments.draws)
         if what in ("time", "all"):
             seconds()
 

@@ -8,14 +8,17 @@ The machines are those of ``guide.py``, the camera and the board those of ``hand
 lens. Where camera and board are is said to 3 mm and 10 mrad, and both are unknown. Random images are of random joints at
 which the camera sees the board. Images tell neither where the base is nor where the tip is: errors are those of the tip's
 place at 95 % of the region once both ends are laid over the true ones. The floor is what is left after 100 random images;
-judged as in ``guide.py``: images from which on the error stays within twice the floor; the calibration that is delivered where
-it is said that the tolerance is kept; and all that was said to be known.
+judged as in ``guide.py``: images from which on the error stays within twice the floor, led, at random and of plans made
+beforehand from the places as they are said; the calibration that is delivered where it is said that the tolerance is kept; and
+all that was said to be known.
 """
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +26,34 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 import yaml
-from guide import ARMS, _gone_on, cell, delivered_poses, draws_of, of, poses_now, print_draws, until
+from guide import (
+    ARMS,
+    COLUMNS,
+    COUNTS,
+    PLAN_FITS,
+    PLANS,
+    Draw,
+    _gone_on,
+    cell,
+    delivered_poses,
+    draws_of,
+    models,
+    of,
+    poses_now,
+    print_draws,
+    smallest_plan,
+    until,
+)
 from hand_eye import CORNERS, LENS, SIZE
 from hand_eye import NOISE as PIXELS
 
 from aridcal.engine.instruments.camera import project
-from aridcal.files.campaign import load_campaign
+from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.jobs.guide.events import Alarm, Known, Next, Stop
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.plan.configurations import draw_candidates
+from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
 from aridcal.jobs.simulate.live import LiveArm
 
 FLOOR_IMAGES, MOST_IMAGES = 100, 60
@@ -126,29 +148,44 @@ def left(R: np.ndarray, p: np.ndarray, now: Session, eye: Eye) -> float:
     return float(np.quantile(np.linalg.norm(rest.reshape(-1, 3), axis=1), 0.95))
 
 
-def fed(now: Session, eye: Eye, readings: np.ndarray, shot: int, taken_at: np.ndarray | None = None) -> list[object]:
-    """Take an image, or have that of other readings, and what is said to it; a pose that shows no corner is rejected."""
+def measured(now: Session, eye: Eye, readings: np.ndarray, shot: int, taken_at: np.ndarray | None = None) -> list[int]:
+    """Put an image into the table, or that of other readings; the new lines."""
     head, *lines = eye.image(readings, shot, taken_at)
-    if not lines:
-        return list(now.reject())
     if not now.table.head:
         now.table.add(head)
-    return list(now.taken([k for line in lines for k in now.table.add(line)]))
+    return [k for line in lines for k in now.table.add(line)]
 
 
-def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
-    """One draw: floor, images of each way, at the stop, whether the tolerance is said to be kept, and is; true claims."""
+def fed(now: Session, eye: Eye, readings: np.ndarray, shot: int, taken_at: np.ndarray | None = None) -> list[object]:
+    """Take an image, and what is said to it; a pose that shows no corner is rejected."""
+    new = measured(now, eye, readings, shot, taken_at)
+    return list(now.taken(new) if new else now.reject())
+
+
+def errors_of(campaign: Campaign, eye: Eye, poses: np.ndarray, counts: Sequence[int]) -> list[float]:
+    """The true error after so many images of some poses, see :func:`models`."""
+    now = session(campaign, eye.arm.simulation.robot, None)
+    for shot, readings in enumerate(poses):
+        measured(now, eye, readings, shot)
+    return [error(now, eye) for _ in models(now, counts)]
+
+
+def draw(arm: str, folder: Path, seed: int) -> Draw:
+    """One draw."""
     eye = workcell(folder, arm, seed)
     campaign, robot = load_campaign(folder / "campaign.yaml"), eye.arm.simulation.robot
-    at_random = session(campaign, robot, None)
-    assert at_random.prior is not None
-    poses = draw_candidates(at_random.prior.setup, FLOOR_IMAGES, 1, np.random.default_rng([seed, 23])).readings
-    at_random._ahead = lambda: []  # type: ignore[method-assign]
-    random = []
-    for shot, readings in enumerate(poses):
-        fed(at_random, eye, readings, shot)
-        random.append(error(at_random, eye))
+    prior = session(campaign, robot, None).prior
+    assert prior is not None
+    poses = draw_candidates(prior.setup, FLOOR_IMAGES, 1, np.random.default_rng([seed, 23])).readings
+    counts = [n for n in COUNTS if n <= len(poses)]
+    random = errors_of(campaign, eye, poses, counts)
     tolerance = 2.0 * random[-1]
+
+    def keeps(count: int) -> bool:
+        planned = design(beforehand(campaign, robot), PlanRequest(count)).readings
+        return errors_of(campaign, eye, planned, (count // 2, *PLAN_FITS * (count,)))[-1] <= tolerance
+
+    planned = smallest_plan(keeps, [count for count in PLANS if count <= MOST_IMAGES])
     now = session(campaign, robot, tolerance)
     events: list[object] = list(now.taken([]))
     led: list[float] = []
@@ -163,9 +200,9 @@ def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
         claims += [led[-1] <= event.position for event in events if isinstance(event, Known)]
         if isinstance(events[-1], Stop):
             stop, said = len(led), events[-1].why == "tolerance"
-            within = left(*delivered_poses(folder, now, now.region), now, eye) <= tolerance
-    kept = until(led, tolerance), until(random, tolerance)
-    return random[-1], *kept, stop, float(said), float(said and within), float(np.mean(claims))
+            within = said and left(*delivered_poses(folder, now, now.region), now, eye) <= tolerance
+    kept = until(led, tolerance), until(random, tolerance, counts)
+    return Draw(random[-1], *kept, planned, stop, said, within, float(np.mean(claims)))
 
 
 FAULTS = {"none": set(), "camera": {"slip"}, "board": {"slip"}, "stale": {"stale"}}
@@ -224,7 +261,10 @@ def main() -> None:
     if arguments.faults:
         faults(arguments.arm or list(ARMS), range(arguments.first, arguments.first + arguments.draws))
     else:
-        print_draws(arguments, draw)
+        print(f"{'':28s} {COLUMNS}", flush=True)
+        for arm in arguments.arm or ARMS:
+            seeds = range(arguments.first, arguments.first + arguments.draws)
+            print_draws(f"{arm} images", seeds, partial(draw, arm))
 
 
 if __name__ == "__main__":

@@ -9,18 +9,33 @@ Random touches are of a random socket from random joints. What is led begins wit
 other until poses are proposed; a socket that is then asked for is touched once. Sockets do not tell where the base is: errors are
 those of the target's place at 95 % of the region once the two are laid over each other. The floor is what is left after 200
 random touches; judged as in ``guide.py``: rows from which on the error stays within twice the floor, and the truth where the
-tolerance is said to be kept.
+tolerance is said to be kept. Nothing can be planned beforehand, as nobody knows where the sockets are.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import yaml
-from guide import FLOOR_ROWS, MOST_ROWS, NOISE, cell, draws_of, poses_now, print_draws, until
+from guide import (
+    ARMS,
+    COLUMNS,
+    COUNTS,
+    FLOOR_ROWS,
+    MOST_ROWS,
+    NOISE,
+    Draw,
+    cell,
+    draws_of,
+    models,
+    poses_now,
+    print_draws,
+    until,
+)
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.inverse.reachable import draw_readings, inner_limits
@@ -121,26 +136,24 @@ def error(now: Session, ball: Ball) -> float:
     return float(np.quantile(np.linalg.norm(turn.apply(p) - true, axis=1), 0.95))
 
 
-def fed(now: Session, ball: Ball, readings: np.ndarray, name: str) -> list[object]:
-    """Touch a socket, and what is said to it."""
+def measured(now: Session, ball: Ball, readings: np.ndarray, name: str) -> list[int]:
+    """Put the touch of a socket into the table; the new line."""
     head, line = ball.line(readings, name)
     if not now.table.head:
         now.table.add(head)
-    return list(now.taken(now.table.add(line)))
+    return list(now.table.add(line))
 
 
-def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
-    """One draw: floor, rows of each way, at the stop, whether the tolerance is said to be kept, and is; true claims."""
+def draw(arm: str, folder: Path, seed: int) -> Draw:
+    """One draw."""
     ball, rng = workcell(folder, arm, seed), np.random.default_rng([seed, 13])
     campaign, robot = load_campaign(folder / "campaign.yaml"), ball.arm.simulation.robot
     names = list(ball.sockets)
     at_random = session(campaign, robot, None)
-    at_random._ahead = lambda: []  # type: ignore[method-assign]
-    random = []
     for _ in range(FLOOR_ROWS):
         name = str(rng.choice(names))
-        fed(at_random, ball, ball.anywhere(name, rng), name)
-        random.append(error(at_random, ball))
+        measured(at_random, ball, ball.anywhere(name, rng), name)
+    random = [error(at_random, ball) for _ in models(at_random, COUNTS)]
     tolerance = 2.0 * random[-1]
     now = session(campaign, robot, tolerance)
     events: list[object] = list(now.taken([]))
@@ -150,7 +163,8 @@ def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
     while len(led) < MOST_ROWS:
         following = events[-1]
         if isinstance(following, Stop):
-            stop, said, within = len(led), following.why == "tolerance", led[-1] <= tolerance
+            stop, said = len(led), following.why == "tolerance"
+            within = said and led[-1] <= tolerance
             break
         assert isinstance(following, Next)
         if following.joints:
@@ -162,15 +176,19 @@ def draw(folder: Path, arm: str, seed: int) -> tuple[float, ...]:
         else:
             name = following.labels.get("point", names[len(led) // 3 % len(names)])
             q = ball.anywhere(name, rng)
-        events = fed(now, ball, q, name)
+        events = list(now.taken(measured(now, ball, q, name)))
         led.append(error(now, ball))
         claims += [led[-1] <= event.position for event in events if isinstance(event, Known)]
-    kept = until(led, tolerance), until(random, tolerance)
-    return random[-1], *kept, stop, float(said), float(said and within), float(np.mean(claims))
+    kept = until(led, tolerance), until(random, tolerance, COUNTS)
+    return Draw(random[-1], *kept, np.nan, stop, said, within, float(np.mean(claims)))
 
 
 def main() -> None:
-    print_draws(draws_of(__doc__).parse_args(), draw)
+    arguments = draws_of(__doc__).parse_args()
+    print(f"{'':28s} {COLUMNS}", flush=True)
+    for arm in arguments.arm or ARMS:
+        seeds = range(arguments.first, arguments.first + arguments.draws)
+        print_draws(f"{arm} sockets", seeds, partial(draw, arm))
 
 
 if __name__ == "__main__":

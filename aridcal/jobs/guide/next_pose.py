@@ -24,6 +24,9 @@ TURN_STEP, SLIDE_STEP = 0.05, 0.02
 NEAR = 0.2
 """[rad] or [m] within which a rejected pose's neighbours are rejected, too."""
 
+LOOKS, TOGETHER = 8, 32
+"""Work: Points of a way that are looked at first, of so many ways at once: of ways that are not free most show it there."""
+
 WAYS = 150
 """Work: Poses to which a way is sought: where none of the best has one, the arm is boxed in, and the user finds a way."""
 
@@ -95,14 +98,35 @@ def best_first(
     if here is not None and not allowed(posterior.setup, here[None], some.candidates.first[:1]).all():
         here = None  # the arm stands where plans do not: how it gets out of there, only the user sees
     tries = 0
+    looked_free: dict[int, bool] = {}
     while left and tries < WAYS:
         top = max(gain[k] for k in left)
         good = [k for k in left if gain[k] >= AS_GOOD * top]
         k = min(good, key=lambda k: far[k])
+        if here is not None and k not in looked_free:
+            others = [other for other in left if other not in looked_free and other != k]
+            few = [k, *sorted(others, key=lambda other: -gain[other])[: TOGETHER - 1]]
+            free = _looks_free(posterior, here, readings[few], some.candidates.first[few])
+            looked_free |= dict(zip(few, free.tolist(), strict=True))
         left.remove(k)
         tries += here is not None
-        if here is None or reaches(posterior, here, readings[k], int(some.candidates.first[k])):
+        if here is None or (looked_free[k] and reaches(posterior, here, readings[k], int(some.candidates.first[k]))):
             yield k
+
+
+def _looks_free(posterior: Posterior, here: np.ndarray, there: np.ndarray, patterns: np.ndarray) -> np.ndarray:
+    """False of ways that are not free where some of their points show it, shape (n,) bool; see :func:`reaches`.
+
+    Args:
+        posterior: Has the arm and what it keeps out of.
+        here: Readings, shape (columns,).
+        there: Those of the poses, shape (n, columns).
+        patterns: Of what is measured there, shape (n,).
+    """
+    ways = [_way(posterior, here, end) for end in there]
+    points = np.array([way[np.linspace(0, len(way) - 1, LOOKS, dtype=int)] for way in ways])
+    free = allowed(posterior.setup, points.reshape(-1, len(here)), np.repeat(patterns, LOOKS))
+    return np.asarray(free.reshape(-1, LOOKS).all(axis=1))
 
 
 def reaches(posterior: Posterior, here: np.ndarray, there: np.ndarray, pattern: int) -> bool:
@@ -114,22 +138,41 @@ def reaches(posterior: Posterior, here: np.ndarray, there: np.ndarray, pattern: 
         there: Likewise.
         pattern: Of what is measured there.
     """
-    setup = posterior.setup
-    step = np.array([SLIDE_STEP if kind == "prismatic" else TURN_STEP for kind in setup.robot.kinds])
+    way = _way(posterior, here, there)
+    return bool(allowed(posterior.setup, way, np.full(len(way), pattern)).all())
+
+
+def _way(posterior: Posterior, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Readings on the straight way of the joints from one pose to another, the first one left out, shape (n, columns)."""
+    step = np.array([SLIDE_STEP if kind == "prismatic" else TURN_STEP for kind in posterior.setup.robot.kinds])
     count = max(2, int(np.ceil(np.max(np.abs(there - here) / step))) + 1)
-    way = here + np.linspace(0.0, 1.0, count)[1:, None] * (there - here)
-    return bool(allowed(setup, way, np.full(len(way), pattern)).all())
+    return np.asarray(here + np.linspace(0.0, 1.0, count)[1:, None] * (there - here))
 
 
 def ahead(some: Pool, posterior: Posterior) -> np.ndarray:
-    """Information that the next rows bring, :data:`AHEAD` of them, each the best, shape (D, D)."""
-    covariance, choice = posterior.covariance, some.choice
-    solved = np.zeros((choice.solved_for, choice.solved_for))
+    r"""Information that the next rows bring, :data:`AHEAD` of them, each the best, shape (D, D).
+
+    A row F, chosen, takes :math:`B (1 + F B)^{-1} B^T` from the covariance, with :math:`B = \Sigma F^T`. What each candidate is worth
+    by, :math:`F_c \Sigma F_c^T` and :math:`F_c \Sigma W \Sigma F_c^T`, so follows from :math:`F_c B` and :math:`F_c \Sigma W B`.
+    """
+    covariance, rows, W = posterior.covariance, some.choice.rows, some.choice.averaged
+    C, p, D = rows.shape
+    flat = rows.reshape(-1, D)
+    propagated = flat @ covariance
+    in_sigmas = propagated.reshape(C, p, D) @ np.swapaxes(rows, 1, 2)
+    of_target = (propagated @ W).reshape(C, p, D) @ np.swapaxes(propagated.reshape(C, p, D), 1, 2)
     information = np.zeros_like(covariance)
     for _ in range(AHEAD):
-        k = int(np.argmax(gain_of_rows(choice, choice.rows, covariance, solved, 1.0)))
-        covariance = updated(covariance, choice.rows[k], 1.0)
-        information += choice.rows[k].T @ choice.rows[k]
+        k = int(np.argmax(np.einsum("cii->c", np.linalg.solve(np.eye(p) + in_sigmas, of_target))))
+        information += rows[k].T @ rows[k]
+        B = covariance @ rows[k].T
+        share = np.linalg.inv(np.eye(p) + in_sigmas[k])
+        moved = (flat @ B).reshape(C, p, p) @ share
+        across = moved @ np.swapaxes((flat @ (covariance @ (W @ B))).reshape(C, p, p), 1, 2)
+        in_sigmas = in_sigmas - moved @ np.swapaxes((flat @ B).reshape(C, p, p), 1, 2)
+        twice = moved @ (B.T @ W @ B) @ np.swapaxes(moved, 1, 2)
+        of_target = of_target - across - np.swapaxes(across, 1, 2) + twice
+        covariance = covariance - B @ share @ B.T
     return information
 
 
