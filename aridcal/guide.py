@@ -90,7 +90,7 @@ def _lead(arguments: argparse.Namespace, now: Session, out: Path) -> None:
     incoming.listen(sys.stdin)
     screen, aside = Screen(), Screen(stderr=True)
     (table,) = campaign.measurements.files
-    board = Board(campaign.path.parent.resolve().name, now.tolerance, str(table), now.units)
+    board = Board(campaign.path.parent.resolve().name, now.tolerance, str(table), now.units, now.measured, now.subject)
     board.note([])
     if arguments.page:
         server = GuideServer(board, incoming)
@@ -104,15 +104,15 @@ def _lead(arguments: argparse.Namespace, now: Session, out: Path) -> None:
             if arguments.json:
                 print(json.dumps(event.document(), allow_nan=False), flush=True)
             else:
-                screen.print(in_words(event), soft_wrap=True)
+                screen.print(in_words(event, now.measured), soft_wrap=True)
     report = _finish(now, out, aside)
     if arguments.page:
         board.note([], report)
         time.sleep(LAST_LOOK)
 
 
-def in_words(event: Event) -> Text:
-    """An event as a line for the terminal."""
+def in_words(event: Event, measured: str = "rows") -> Text:
+    """An event as a line for the terminal; ``measured`` is what is counted."""
     match event:
         case RowRead(row, ok, reasons):
             return (
@@ -125,7 +125,7 @@ def in_words(event: Event) -> Text:
         case Known():
             more = "" if event.more is None else f", about {event.more} more for the tolerance"
             turn = f", {1e3 * event.rotation:.3g} mrad" if event.rotation < float("inf") else ""
-            return Text(f"  {event.rows} rows: within {1e3 * event.position:.3g} mm{turn}{more}")
+            return Text(f"  {event.rows} {measured}: within {1e3 * event.position:.3g} mm{turn}{more}")
         case Next():
             joints = ", ".join(f"{name} {value:g}" for name, value in {**event.joints}.items())
             measure = "".join(f", {name} {label}" for name, label in event.labels.items())

@@ -370,44 +370,54 @@ def _one(arm: str, kind: str, folder: Path, seed: int) -> Draw:
 CANDIDATES, STEPS = 600, 400
 
 
-def limit(draws: int) -> None:
-    """What any choice of rows could reach, by the sigma of the target, all about the model that 200 random rows gave.
+LIMIT_COLUMNS = "random  greedy  bound  greedy/random  bound/random"
+
+
+def print_limits(title: str, seeds: range, limit: Callable[[Path, int], tuple[int, int, int]]) -> None:
+    """What any choice of rows could reach, by the sigma of the target, all about the model that random rows gave.
 
     ``greedy`` is the best row after row. ``bound`` is no choice: the least n at which n times the best mixture of configurations
     keeps the tolerance, parts of rows allowed (by the multiplicative algorithm, Silvey, Titterington and Torsney 1978); no
     n rows of the same candidates can do better.
     """
-    print("arm     kind      random  greedy  bound  greedy/random  bound/random", flush=True)
-    for arm in ARMS:
-        for kind in NOISE:
-            figures = []
-            for seed in range(draws):
-                with tempfile.TemporaryDirectory() as name:
-                    figures.append(_limit(Path(name), arm, kind, seed))
-            random, best, bound = np.median(np.array(figures), axis=0)
-            ratios = np.median(np.array([[b / r, least / r] for r, b, least in figures]), axis=0)
-            print(
-                f"{arm:7s} {kind:9s} {random:6.0f} {best:7.0f} {bound:6.0f} {ratios[0]:14.2f} {ratios[1]:13.2f}",
-                flush=True,
-            )
+    figures = []
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as name:
+            figures.append(limit(Path(name), seed))
+    random, best, bound = np.median(np.array(figures), axis=0)
+    ratios = np.median(np.array([[b / r, least / r] for r, b, least in figures]), axis=0)
+    print(f"{title:20s} {random:6.0f} {best:7.0f} {bound:6.0f} {ratios[0]:14.2f} {ratios[1]:13.2f}", flush=True)
 
 
-def _limit(folder: Path, arm: str, kind: str, seed: int) -> tuple[int, int, int]:
-    """One draw: rows until twice the sigma of 200 random ones is kept: random, greedy, and the bound."""
+def limits(arguments: argparse.Namespace) -> None:
+    """Rows until twice the sigma of 200 random ones is kept: random, greedy, and the bound."""
+    print(f"{'':20s} {LIMIT_COLUMNS}", flush=True)
+    for arm in arguments.arm or ARMS:
+        for kind in arguments.kind or NOISE:
+            seeds = range(arguments.first, arguments.first + arguments.draws)
+            print_limits(f"{arm} {kind}", seeds, partial(_limit, arm, kind))
+
+
+def _limit(arm: str, kind: str, folder: Path, seed: int) -> tuple[int, int, int]:
+    """One draw."""
     one = cell(folder, arm, kind, seed)
     prior = session(one.campaign, one.arm.simulation.robot, None).prior
     assert prior is not None
     rng = np.random.default_rng([seed, 8])
-    now = _fresh(one, draw_candidates(prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings)
-    *_, known = models(now, COUNTS)
-    read = now.read.rows
-    assert known is not None and read is not None
-    F, r = now._columns(np.arange(len(read)))
+    return fewest(_fresh(one, draw_candidates(prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings), rng)
+
+
+def fewest(now: Session, rng: np.random.Generator) -> tuple[int, int, int]:
+    """Rows until twice the sigma of all random rows in a table is kept: random, greedy, and the bound; see above."""
+    count = len(rows_so_far(now.campaign, now.robot, now.table, now.read).index)
+    *_, known = models(now, [n for n in COUNTS if n < count] + [count])
+    assert known is not None
+    F, r = now._columns(np.arange(count))
     some = pool(known.with_rows(F, r, -1.0), draw_candidates(known.setup, CANDIDATES, 1, rng), now.region, None).choice
     order = rng.permutation(len(some.rows))
-    of_random = [rms_sigma(some, some.information(order[:n])) for n in range(1, FLOOR_ROWS + 1)]
+    of_random = [rms_sigma(some, some.information(order[:n])) for n in range(1, min(count, len(order)) + 1)]
     tolerance = 2.0 * of_random[-1]
-    chosen = greedy(some, FLOOR_ROWS // 2)
+    chosen = greedy(some, count // 2)
     best = [rms_sigma(some, some.information(chosen[:n])) for n in range(1, len(chosen) + 1)]
     few, enough = 1, until(best, tolerance)
     while enough - few > 1:
@@ -616,7 +626,7 @@ def main() -> None:
         if what in ("rows", "all"):
             rows(arguments)
         if what in ("limit", "all"):
-            limit(arguments.draws)
+            limits(arguments)
         if what in ("faults", "all"):
             faults(arguments.draws)
         if what in ("early", "all"):

@@ -2,6 +2,7 @@
 
     python benchmarks/guide_images.py 10                  # draws of a UR10, a 7R, a SCARA and a gantry
     python benchmarks/guide_images.py 10 --first 20 --arm UR10
+    python benchmarks/guide_images.py 2 --limit           # the fewest images of any choice, as ``guide.py limit``
     python benchmarks/guide_images.py 10 --faults         # camera or board moved, stale image: told within two images
 
 The machines are those of ``guide.py``, the camera and the board those of ``hand_eye.py``: 24 corners, 0.2 px of noise, a known
@@ -30,6 +31,7 @@ from guide import (
     ARMS,
     COLUMNS,
     COUNTS,
+    LIMIT_COLUMNS,
     PLAN_FITS,
     PLANS,
     Draw,
@@ -37,10 +39,12 @@ from guide import (
     cell,
     delivered_poses,
     draws_of,
+    fewest,
     models,
     of,
     poses_now,
     print_draws,
+    print_limits,
     smallest_plan,
     until,
 )
@@ -254,12 +258,29 @@ def faults(arms: list[str], seeds: range) -> None:
             )
 
 
+def limit(arm: str, folder: Path, seed: int) -> tuple[int, int, int]:
+    """Images until twice the sigma of 100 random ones is kept: random, greedy, and the bound."""
+    eye = workcell(folder, arm, seed)
+    now = session(load_campaign(folder / "campaign.yaml"), eye.arm.simulation.robot, None)
+    assert now.prior is not None
+    rng = np.random.default_rng([seed, 23])
+    for shot, readings in enumerate(draw_candidates(now.prior.setup, FLOOR_IMAGES, 1, rng).readings):
+        measured(now, eye, readings, shot)
+    return fewest(now, rng)
+
+
 def main() -> None:
     parser = draws_of(__doc__)
     parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--limit", action="store_true")
     arguments = parser.parse_args()
     if arguments.faults:
         faults(arguments.arm or list(ARMS), range(arguments.first, arguments.first + arguments.draws))
+    elif arguments.limit:
+        print(f"{'':20s} {LIMIT_COLUMNS}", flush=True)
+        for arm in arguments.arm or ARMS:
+            seeds = range(arguments.first, arguments.first + arguments.draws)
+            print_limits(f"{arm} images", seeds, partial(limit, arm))
     else:
         print(f"{'':28s} {COLUMNS}", flush=True)
         for arm in arguments.arm or ARMS:

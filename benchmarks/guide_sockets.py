@@ -2,6 +2,7 @@
 
     python benchmarks/guide_sockets.py 10                  # draws of a UR10, a 7R, a SCARA and a gantry
     python benchmarks/guide_sockets.py 10 --first 20 --arm UR10
+    python benchmarks/guide_sockets.py 2 --limit           # the fewest touches of any choice, as ``guide.py limit``
 
 The machines are those of ``guide.py``. Six sockets stand anywhere in reach, in three pairs whose lengths are known to 0.01 mm;
 their places are not known. A touch is the joints that hold the ball of the true machine in a socket, noise of 0.05 mm in it.
@@ -26,20 +27,23 @@ from guide import (
     COLUMNS,
     COUNTS,
     FLOOR_ROWS,
+    LIMIT_COLUMNS,
     MOST_ROWS,
     NOISE,
     Draw,
     cell,
     draws_of,
+    fewest,
     models,
     poses_now,
     print_draws,
+    print_limits,
     until,
 )
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.inverse.reachable import draw_readings, inner_limits
-from aridcal.files.campaign import load_campaign
+from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.jobs.guide.events import Known, Next, Stop
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.simulate.live import LiveArm
@@ -144,15 +148,27 @@ def measured(now: Session, ball: Ball, readings: np.ndarray, name: str) -> list[
     return list(now.table.add(line))
 
 
+def _at_random(campaign: Campaign, ball: Ball, rng: np.random.Generator) -> Session:
+    """A session with random touches, none of them looked at yet."""
+    now = session(campaign, ball.arm.simulation.robot, None)
+    for _ in range(FLOOR_ROWS):
+        name = str(rng.choice(list(ball.sockets)))
+        measured(now, ball, ball.anywhere(name, rng), name)
+    return now
+
+
+def limit(arm: str, folder: Path, seed: int) -> tuple[int, int, int]:
+    """Touches until twice the sigma of 200 random ones is kept: random, greedy, and the bound."""
+    ball, rng = workcell(folder, arm, seed), np.random.default_rng([seed, 13])
+    return fewest(_at_random(load_campaign(folder / "campaign.yaml"), ball, rng), rng)
+
+
 def draw(arm: str, folder: Path, seed: int) -> Draw:
     """One draw."""
     ball, rng = workcell(folder, arm, seed), np.random.default_rng([seed, 13])
     campaign, robot = load_campaign(folder / "campaign.yaml"), ball.arm.simulation.robot
     names = list(ball.sockets)
-    at_random = session(campaign, robot, None)
-    for _ in range(FLOOR_ROWS):
-        name = str(rng.choice(names))
-        measured(at_random, ball, ball.anywhere(name, rng), name)
+    at_random = _at_random(campaign, ball, rng)
     random = [error(at_random, ball) for _ in models(at_random, COUNTS)]
     tolerance = 2.0 * random[-1]
     now = session(campaign, robot, tolerance)
@@ -184,10 +200,15 @@ def draw(arm: str, folder: Path, seed: int) -> Draw:
 
 
 def main() -> None:
-    arguments = draws_of(__doc__).parse_args()
-    print(f"{'':28s} {COLUMNS}", flush=True)
+    parser = draws_of(__doc__)
+    parser.add_argument("--limit", action="store_true")
+    arguments = parser.parse_args()
+    print(f"{'':20s} {LIMIT_COLUMNS}" if arguments.limit else f"{'':28s} {COLUMNS}", flush=True)
     for arm in arguments.arm or ARMS:
         seeds = range(arguments.first, arguments.first + arguments.draws)
+        if arguments.limit:
+            print_limits(f"{arm} sockets", seeds, partial(limit, arm))
+            continue
         print_draws(f"{arm} sockets", seeds, partial(draw, arm))
 
 

@@ -34,12 +34,16 @@ class Board:
         tolerance: [m]; None where there is none.
         table: The file that is followed.
         units: Of the joints' columns.
+        measured: What is counted: rows or images.
+        subject: What is known.
     """
 
     title: str
     tolerance: float | None
     table: str
     units: dict[str, str] = field(default_factory=dict)
+    measured: str = "rows"
+    subject: str = "the target"
     rows: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=LAST_ROWS))
     alarms: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=LAST_ALARMS))
     known: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_POINTS))
@@ -74,6 +78,8 @@ class Board:
                 "tolerance_mm": None if self.tolerance is None else 1e3 * self.tolerance,
                 "table": self.table,
                 "units": self.units,
+                "measured": self.measured,
+                "subject": self.subject,
                 "rows": list(self.rows),
                 "last": self.last,
                 "alarms": list(self.alarms),

@@ -152,8 +152,9 @@ def _way(posterior: Posterior, here: np.ndarray, there: np.ndarray) -> np.ndarra
 def ahead(some: Pool, posterior: Posterior) -> np.ndarray:
     r"""Information that the next rows bring, :data:`AHEAD` of them, each the best, shape (D, D).
 
-    A row F, chosen, takes :math:`B (1 + F B)^{-1} B^T` from the covariance, with :math:`B = \Sigma F^T`. What each candidate is worth
-    by, :math:`F_c \Sigma F_c^T` and :math:`F_c \Sigma W \Sigma F_c^T`, so follows from :math:`F_c B` and :math:`F_c \Sigma W B`.
+    A row F, chosen, takes :math:`B (1 + F B)^{-1} B^T` from the covariance, with :math:`B = \Sigma F^T`. So what each candidate
+    is worth by, :math:`F_c \Sigma F_c^T` and :math:`F_c \Sigma W \Sigma F_c^T`, follows from :math:`F_c B` and
+    :math:`F_c \Sigma W B`.
     """
     covariance, rows, W = posterior.covariance, some.choice.rows, some.choice.averaged
     C, p, D = rows.shape

@@ -745,7 +745,7 @@ class Session:
         told = self.beside.numbers >= FEWEST_BESIDE
         if self.tolerance is not None and told and known.position <= self.tolerance:
             return "tolerance", (
-                f"{self._subject} is within {1e3 * known.position:.3g} mm in 95 % of the region, with 95 % confidence; "
+                f"{self.subject} is within {1e3 * known.position:.3g} mm in 95 % of the region, with 95 % confidence; "
                 f"asked were {1e3 * self.tolerance:.3g} mm"
             )
         reachable = self.tolerance is not None and known.more is not None
@@ -753,10 +753,11 @@ class Session:
             beyond = (
                 ""
                 if self.tolerance is None
-                else f"; {1e3 * self.tolerance:.3g} mm would take more than {FORESEEN} rows more, if it can be had at all"
+                else f"; {1e3 * self.tolerance:.3g} mm would take more than {FORESEEN} {self.measured} more, if it can be had "
+                "at all"
             )
             return "nothing to gain", (
-                f"ten more {'images' if self._images else 'rows'} would make {self._subject} less than {100 * HARDLY:.0f} % "
+                f"ten more {self.measured} would make {self.subject} less than {100 * HARDLY:.0f} % "
                 f"better known: it is within {1e3 * known.position:.3g} mm{beyond}{NO_LENGTH if self._lacks_length else ''}"
             )
         return None
@@ -767,7 +768,12 @@ class Session:
         return self.campaign.measurements.traits.images
 
     @property
-    def _subject(self) -> str:
+    def measured(self) -> str:
+        """What is counted."""
+        return "images" if self._images else "rows"
+
+    @property
+    def subject(self) -> str:
         """What is known: images tell neither where the base nor where the tip is."""
         return "the arm between base and tip" if self._images else "the target"
 
@@ -863,7 +869,8 @@ class Session:
             self.candidates = None
             return self._next(now, self._pool(now))
         places = " and ".join(told_by(some, k, now))
-        why = f"makes the target {100 * float(max(worth(some, now)[k], 0.0)):.2g} % better known; tells most of {places}{unseen}"
+        better = 100 * float(max(worth(some, now)[k], 0.0))
+        why = f"makes {self.subject} {better:.2g} % better known; tells most of {places}{unseen}"
         return self._said(some.candidates.readings[k], why, titles[int(some.candidates.offer[k])])
 
     def _wanted(self, now: Posterior, some: Pool) -> np.ndarray:

@@ -27,8 +27,10 @@ from aridcal.guide import main
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead, Stop
 from aridcal.jobs.guide.growing_table import GrowingTable
 from aridcal.jobs.guide.judgement import beside_others, exceeded
+from aridcal.jobs.guide.next_pose import AHEAD, AS_GOOD, WAYS, ahead, best_first, reaches, worth
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.plan.configurations import offers
+from aridcal.jobs.plan.row_exchange import greedy
 from aridcal.jobs.simulate.live import LiveArm, live_arm
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate
@@ -288,6 +290,37 @@ def test_a_table_of_another_kind_of_campaign_is_refused_in_words(
     assert "no column" in capsys.readouterr().err
 
 
+def test_what_ten_rows_ahead_tell_is_what_a_greedy_choice_tells_that_inverts_information_anew(
+    tmp_path: Path, cell: LiveArm
+) -> None:
+    now = begun(tmp_path)
+    led(now, cell, 8)
+    known = now.posterior
+    assert known is not None
+    some = now._pool(known)
+    chosen = greedy(some.choice, AHEAD)
+    F = some.choice.rows[chosen].reshape(-1, len(known.information))
+    assert len(set(chosen)) == AHEAD
+    np.testing.assert_allclose(ahead(some, known), F.T @ F, rtol=1e-9, atol=1e-9 * float(np.abs(F.T @ F).max()))
+
+
+def test_the_first_look_at_ways_shuts_out_none_that_is_free_and_the_order_stays(tmp_path: Path, cell: LiveArm) -> None:
+    now = begun(tmp_path)
+    led(now, cell, 8)
+    known, here = now.posterior, now.here()
+    assert known is not None and here is not None
+    some = now._pool(known)
+    gain, readings = worth(some, known), some.candidates.readings
+    far, left, offered = np.abs(readings - here).max(axis=1), list(range(len(gain))), []
+    for _ in range(WAYS):
+        top = max(gain[k] for k in left)
+        k = min((k for k in left if gain[k] >= AS_GOOD * top), key=lambda k: far[k])
+        left.remove(k)
+        offered += [k] if reaches(known, here, readings[k], int(some.candidates.first[k])) else []
+    assert 0 < len(offered) < WAYS  # the box is in the way of some
+    assert list(best_first(some, gain, known, here, ())) == offered
+
+
 def test_the_page_shows_the_last_row_and_the_last_alarm_where_an_earlier_row_is_judged_again() -> None:
     board = Board("cell", None, "measurements.csv")
     board.note([RowRead(2, True), RowRead(3, True), RowRead(4, True), Alarm(2, "outlier", "off", "do")])
@@ -296,6 +329,7 @@ def test_the_page_shows_the_last_row_and_the_last_alarm_where_an_earlier_row_is_
     assert (state["last"]["row"], state["last"]["ok"]) == (4, True)
     assert (state["alarms"][-1]["row"], state["alarms"][-1]["after"]) == (2, 4)
     assert [(row["row"], row["ok"]) for row in state["rows"]][-1] == (2, False)
+    assert (state["measured"], state["subject"]) == ("rows", "the target")
     board.note([RowRead(4, False)])
     assert json.loads(board.text)["last"]["ok"] is False
 

@@ -18,7 +18,11 @@
     return value >= 100 ? value.toFixed(0) : value.toPrecision(3);
   }
 
-  function curve(known, tolerance) {
+  function titled(words) {
+    return words[0].toUpperCase() + words.slice(1);
+  }
+
+  function curve(known, tolerance, measured) {
     const points = known.filter((k) => k.position_mm > 0);
     const svg = by("curve");
     svg.replaceChildren();
@@ -47,12 +51,17 @@
       put("line", { x1: 60, x2: 580, y1: y(tolerance), y2: y(tolerance), stroke: "#1d242b", "stroke-dasharray": "8 5", "stroke-width": 2 });
       put("text", { x: 580, y: y(tolerance) + 16, "text-anchor": "end" }, `tolerance ${tolerance} mm`);
     }
-    put("text", { x: 60, y: 222 }, `${first} rows`);
-    put("text", { x: 580, y: 222, "text-anchor": "end" }, `${last} rows`);
+    put("text", { x: 60, y: 222 }, `${first} ${measured}`);
+    put("text", { x: 580, y: 222, "text-anchor": "end" }, `${last} ${measured}`);
   }
 
   function show(state) {
     const row = state.last;
+    const { measured } = state;
+    by("subject").textContent = `${titled(state.subject)} is known to`;
+    by("last").textContent = measured === "images" ? "Last image, by its first row" : "Last row";
+    by("against").textContent = `Known against ${measured}`;
+    by("so-far").textContent = `${titled(measured)} and alarms so far`;
     const known = state.known[state.known.length - 1];
     const alarm = state.alarms[state.alarms.length - 1];
     by("row").textContent = row ? `${row.ok ? "✓" : "✗"} ${row.row} ${row.ok ? "good" : "not used"}` : "none yet";
@@ -60,10 +69,10 @@
     by("row-why").textContent = row ? row.reasons.join("; ") : `waiting for ${state.table}`;
     by("known").textContent = known ? `${digits(known.position_mm)} mm` : "?";
     const tolerance = state.tolerance_mm ? `; asked: ${digits(state.tolerance_mm)} mm` : "";
-    const more = known && known.more ? `; about ${known.more} rows more` : "";
+    const more = known && known.more ? `; about ${known.more} ${measured} more` : "";
     const turn = known && known.rotation_mrad !== null ? `${digits(known.rotation_mrad)} mrad, ` : "";
     by("known-more").textContent = known
-      ? `${turn}after ${known.rows} rows, in 95 % of the region with 95 % confidence${tolerance}${more}`
+      ? `${turn}after ${known.rows} ${measured}, in 95 % of the region with 95 % confidence${tolerance}${more}`
       : "three poses that differ are needed before anything can be said";
     const lately = alarm && row && alarm.after >= row.row - 1;
     by("alarm").hidden = !lately || Boolean(state.stop);
@@ -99,7 +108,7 @@
     by("rows").replaceChildren(
       ...state.rows.map((r) => made("li", `${r.ok ? "✓" : "✗"} row ${r.row} ${r.ok ? "good" : "not used"} ${r.reasons.join("; ")}`)).reverse(),
     );
-    curve(state.known, state.tolerance_mm);
+    curve(state.known, state.tolerance_mm, measured);
   }
 
   async function look() {
