@@ -170,6 +170,8 @@ class Draw:
         guided: Until twice the floor is kept, led.
         random: At random.
         plan: The smallest plan that keeps it; NaN where nothing can be planned.
+        at_plans: Led, looked at after as many rows as plans have, and no others.
+        equal: Error led over error at random, after as many rows: median over :data:`COUNTS` from :data:`EQUAL_FROM` on.
         stop: At the stop; 0 where there was none.
         said: Whether it was said that the tolerance is kept.
         within: Whether it is, of the calibration that is delivered.
@@ -180,13 +182,15 @@ class Draw:
     guided: int
     random: int
     plan: float
+    at_plans: float
+    equal: float
     stop: int
     said: bool
     within: bool
     claims: float
 
 
-COLUMNS = "floor mm  guided  random  plan  /random  /plan  stopped at  truth within  claims that hold"
+COLUMNS = "floor mm  guided  random  plan  /random  /plan  error /random  stopped at  truth within  claims that hold"
 
 
 def draws_of(description: str | None) -> argparse.ArgumentParser:
@@ -217,8 +221,8 @@ def _line(title: str, figures: list[Draw]) -> str:
     return (
         f"{title:28s} {1e3 * median(d.floor for d in figures):8.3f} {median(d.guided for d in figures):7.0f} "
         f"{median(d.random for d in figures):7.0f} {median(d.plan for d in figures):5.0f} "
-        f"{median(d.guided / d.random for d in figures):8.2f} {median(d.guided / d.plan for d in figures):6.2f} "
-        f"{median(d.stop for d in figures):11.0f} {sum(d.within for d in figures):6d} of {sum(d.said for d in figures)} "
+        f"{median(d.guided / d.random for d in figures):8.2f} {median(d.at_plans / d.plan for d in figures):6.2f} "
+        f"{median(d.equal for d in figures):14.2f} {median(d.stop for d in figures):11.0f} {sum(d.within for d in figures):6d} of {sum(d.said for d in figures)} "
         f"{np.mean([d.claims for d in figures]):12.3f}"
     )
 
@@ -274,7 +278,7 @@ def of(event: Next) -> np.ndarray:
 COUNTS = (*range(3, 40), *range(40, 100, 2), *range(100, FLOOR_ROWS + 1, 5))
 """Rows after which models of random rows are looked at."""
 
-PLAN_FITS = 4
+PLAN_FITS, EQUAL_FROM = 4, 15
 
 
 def models(now: Session, counts: Iterable[int]) -> Iterator[Posterior | None]:
@@ -295,6 +299,29 @@ def until(errors: Sequence[float], tolerance: float, counts: Sequence[int] | Non
     """Rows from which on the error stays within a tolerance, which is more than that at the last count where it does not."""
     bad = [n for n, error in zip(counts or range(1, len(errors) + 1), errors, strict=True) if error > tolerance]
     return (bad[-1] if bad else 0) + 1
+
+
+def judged(
+    led: list[float],
+    random: Sequence[float],
+    counts: Sequence[int],
+    plan: Callable[[float], float],
+    plans: Sequence[int] = PLANS,
+) -> tuple[float, int, int, float, float, float]:
+    """The figures of a draw but for those of its stop.
+
+    Args:
+        led: Errors after each row; it ends where rows do.
+        random: Errors after so many random rows.
+        counts: These.
+        plan: The smallest plan that keeps a tolerance, see :func:`smallest_plan`.
+        plans: Those that were made.
+    """
+    tolerance = 2.0 * random[-1]
+    at_plans = smallest_plan(lambda count: led[min(count, len(led)) - 1] <= tolerance, plans)
+    both = [led[n - 1] / error for n, error in zip(counts, random, strict=True) if EQUAL_FROM <= n <= len(led)]
+    kept = until(led, tolerance), until(random, tolerance, counts)
+    return random[-1], *kept, plan(tolerance), at_plans, float(np.median(both)) if both else np.nan
 
 
 def smallest_plan(keeps: Callable[[int], bool], plans: Sequence[int] = PLANS) -> float:
@@ -344,13 +371,15 @@ def _one(arm: str, kind: str, folder: Path, seed: int) -> Draw:
     assert prior is not None  # poses and positions need no things
     drawn = draw_candidates(prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings
     random = [np.inf if known is None else one.error(known) for known in models(_fresh(one, drawn), COUNTS)]
+
+    def plan(tolerance: float) -> float:
+        def keeps(count: int) -> bool:
+            *_, known = models(_fresh(one, _planned(arm, kind, count)), (count // 2, *PLAN_FITS * (count,)))
+            return known is not None and one.error(known) <= tolerance
+
+        return smallest_plan(keeps)
+
     tolerance = 2.0 * random[-1]
-
-    def keeps(count: int) -> bool:
-        *_, known = models(_fresh(one, _planned(arm, kind, count)), (count // 2, *PLAN_FITS * (count,)))
-        return known is not None and one.error(known) <= tolerance
-
-    planned = smallest_plan(keeps)
     now = session(one.campaign, robot, tolerance)
     one.arm.poses.clear()
     events, stop, said, within = now.taken([]), 0, False, False
@@ -363,8 +392,7 @@ def _one(arm: str, kind: str, folder: Path, seed: int) -> Draw:
         if isinstance(events[-1], Stop):
             stop, said = len(guided), events[-1].why == "tolerance"
             within = said and _delivered(folder, one, now) <= tolerance
-    kept = until(guided, tolerance), until(random, tolerance, COUNTS)
-    return Draw(random[-1], *kept, planned, stop, said, within, float(np.mean(claims)))
+    return Draw(*judged(guided, random, COUNTS, plan), stop, said, within, float(np.mean(claims)))
 
 
 CANDIDATES, STEPS = 600, 400

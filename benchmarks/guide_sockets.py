@@ -34,11 +34,11 @@ from guide import (
     cell,
     draws_of,
     fewest,
+    judged,
     models,
     poses_now,
     print_draws,
     print_limits,
-    until,
 )
 from scipy.spatial.transform import Rotation
 
@@ -195,8 +195,7 @@ def draw(arm: str, folder: Path, seed: int) -> Draw:
         events = list(now.taken(measured(now, ball, q, name)))
         led.append(error(now, ball))
         claims += [led[-1] <= event.position for event in events if isinstance(event, Known)]
-    kept = until(led, tolerance), until(random, tolerance, COUNTS)
-    return Draw(random[-1], *kept, np.nan, stop, said, within, float(np.mean(claims)))
+    return Draw(*judged(led, random, COUNTS, lambda _: np.nan), stop, said, within, float(np.mean(claims)))
 
 
 def main() -> None:
