@@ -222,8 +222,8 @@ def _line(title: str, figures: list[Draw]) -> str:
         f"{title:28s} {1e3 * median(d.floor for d in figures):8.3f} {median(d.guided for d in figures):7.0f} "
         f"{median(d.random for d in figures):7.0f} {median(d.plan for d in figures):5.0f} "
         f"{median(d.guided / d.random for d in figures):8.2f} {median(d.at_plans / d.plan for d in figures):6.2f} "
-        f"{median(d.equal for d in figures):14.2f} {median(d.stop for d in figures):11.0f} {sum(d.within for d in figures):6d} of {sum(d.said for d in figures)} "
-        f"{np.mean([d.claims for d in figures]):12.3f}"
+        f"{median(d.equal for d in figures):14.2f} {median(d.stop for d in figures):11.0f} "
+        f"{sum(d.within for d in figures):6d} of {sum(d.said for d in figures)} {np.mean([d.claims for d in figures]):12.3f}"
     )
 
 
