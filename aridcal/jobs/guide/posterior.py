@@ -179,9 +179,9 @@ _COMPONENTS = ANGULAR | {"x", "y", "z", "a", "d"}
 
 
 def configurations(setup: PlanSetup, rng: np.random.Generator) -> Candidates:
-    """Configurations that can be measured, to choose from."""
+    """Configurations that can be measured, to choose from; none of a point to which the arm does not come."""
     traits = setup.campaign.measurements.traits
-    return draw_candidates(setup, SMALL_POOL if traits.condition or traits.images else POOL, 1, rng)
+    return draw_candidates(setup, SMALL_POOL if traits.condition or traits.images else POOL, 0, rng)
 
 
 def before_rows(setup: PlanSetup) -> Posterior:
@@ -192,7 +192,7 @@ def before_rows(setup: PlanSetup) -> Posterior:
     D = flat.shape[1]
     loose = np.diag(1.0 / UNTOLD_SIGMA**2 * np.r_[np.ones(D - len(base)), np.zeros(len(base))])
     traits = setup.campaign.measurements.traits
-    poses = None if traits.tracked else draw_candidates(setup, SHOWN_BY, 1, np.random.default_rng(0))
+    poses = None if traits.tracked else draw_candidates(setup, SHOWN_BY, 0, np.random.default_rng(0))
     information = flat.T @ flat + loose
     return Posterior(setup, base, information + held(setup, poses, information), np.zeros(D), 0.0, poses)
 
@@ -220,11 +220,13 @@ def held(setup: PlanSetup, poses: Candidates | None, beforehand: np.ndarray) -> 
     rows = columns_of(setup, poses.rows(setup))[0].reshape(-1, len(beforehand))
     std = 1.0 / np.sqrt(np.diag(beforehand))
     things = len(std) - len(setup.theta)
-    stated = expected_rows(setup)
-    rows = np.concatenate([rows, stated[np.any(stated[:, :things] != 0.0, axis=1)]])  # known lengths and places
-    # What stepped at a slip is told by the rows before it, not by those to come.
+    # A point to which no pose comes is told by touches that the user finds, and what stepped at a slip by the rows before it.
+    elsewhere = np.flatnonzero(~np.any(rows[:, :things] != 0.0, axis=0))
     stepped = [things + k for k, c in enumerate(setup.model.coefficients) if c.basis.form == "step"]
-    lasting = np.setdiff1d(np.arange(len(std)), stepped)
+    lasting = np.setdiff1d(np.arange(len(std)), [*elsewhere.tolist(), *stepped])
+    stated = expected_rows(setup)  # known lengths and places
+    of_things = np.any(stated[:, :things] != 0.0, axis=1) & ~np.any(stated[:, elsewhere] != 0.0, axis=1)
+    rows = np.concatenate([rows, stated[of_things]])
     triangle = np.linalg.qr(rows[:, lasting] * std[lasting], mode="r")  # has their singular values
     _, s, Vt = np.linalg.svd(triangle, full_matrices=True)
     untold = Vt[np.flatnonzero(np.pad(s, (0, len(lasting) - len(s))) < UNTOLD_SHARE)]

@@ -786,7 +786,13 @@ class Session:
     def asked(self) -> list[Event]:
         """The stop that the user asked for."""
         self.stopped = True
-        return [Stop("asked", "as asked", self.known(), self.checks())]
+        known = self.known()
+        words = "nothing can be said yet of how well it is known"
+        if known.position < np.inf:
+            words = (
+                f"{self.subject} is within {1e3 * known.position:.3g} mm in 95 % of the region, with 95 % confidence"
+            )
+        return [Stop("asked", words, known, self.checks())]
 
     def reject(self) -> list[Event]:
         """Another pose in place of the last one that was proposed."""

@@ -211,7 +211,7 @@ def draw_candidates(setup: PlanSetup, count: int, least: int, rng: np.random.Gen
     Args:
         setup: What can be measured.
         count: How many, if there are so many.
-        least: How many at least.
+        least: How many at least; 0: offers of which none can be measured are left out, as long as others can.
         rng: Draws them.
 
     Raises:
@@ -219,7 +219,17 @@ def draw_candidates(setup: PlanSetup, count: int, least: int, rng: np.random.Gen
     """
     choices = offers(setup)
     per_offer, fewest = (-(-number // len(choices.patterns)) for number in (count, least))
-    parts = [_of_offer(setup, patterns, per_offer, fewest, rng) for patterns in choices.patterns]
+    parts, problem = [], None
+    for patterns in choices.patterns:
+        try:
+            parts.append(_of_offer(setup, patterns, per_offer, max(fewest, 1), rng))
+        except CampaignError as error:
+            if least:
+                raise
+            problem = error
+            parts.append(_none(setup))
+    if problem is not None and not any(len(part.readings) for part in parts):
+        raise problem
     readings = np.concatenate([part.readings for part in parts])
     starts = np.cumsum([0, *(len(part.readings) for part in parts)])[:-1]
     return Candidates(
@@ -229,6 +239,12 @@ def draw_candidates(setup: PlanSetup, count: int, least: int, rng: np.random.Gen
         pattern=np.concatenate([part.pattern for part in parts]),
         of=np.concatenate([part.of + start for part, start in zip(parts, starts.tolist(), strict=True)]),
     )
+
+
+def _none(setup: PlanSetup) -> Candidates:
+    """No configuration."""
+    readings, numbers = np.zeros((0, len(setup.robot.readings))), np.zeros(0, dtype=int)
+    return Candidates(readings, readings, numbers, numbers, numbers)
 
 
 def _of_offer(setup: PlanSetup, patterns: np.ndarray, count: int, least: int, rng: np.random.Generator) -> Candidates:

@@ -425,6 +425,44 @@ def test_a_point_touched_for_the_first_time_right_after_the_model_began_is_among
     assert began == 6
 
 
+def test_a_point_to_which_no_planned_pose_comes_is_not_proposed_and_its_touches_count_all_the_same(
+    tmp_path: Path,
+) -> None:
+    """One such point ended the guide in the middle of the measurements."""
+    (tmp_path / "scara.urdf").write_text(SCARA)
+    places = {"a": [0.4, 0.2, 0.25], "b": [0.3, -0.3, 0.2], "c": [0.45, 0.1, 0.3], "d": [0.35, 0.3, 0.22]}
+    around_d = "design: {keep_out: [{min: [0.3, 0.25, 0.17], max: [0.4, 0.35, 0.27]}]}\n"
+    (tmp_path / "campaign.yaml").write_text(
+        SOCKETS.replace("kind: point", "file: measurements.csv, kind: point") + around_d
+    )
+    truth = f"truth: {{n: 48, seed: 1, noise: {{position: 5.0e-5}}, instruments: {{points: {json.dumps(places)}}}}}\n"
+    (tmp_path / "scenario.yaml").write_text(SOCKETS + truth)
+    head, *lines = (
+        simulate(load_settings(tmp_path / "scenario.yaml", Scenario))
+        .measurements.to_csv(index=False)
+        .encode()
+        .splitlines()
+    )
+    now = begun(tmp_path)
+    now.table.add(head)
+    said: list[Event] = []
+    for line in lines[:30]:
+        said += now.taken(now.table.add(line))
+    proposed = {event.labels["point"] for event in said if isinstance(event, Next) and event.joints}
+    assert proposed
+    assert "d" not in proposed
+    assert alarms(said) == []
+    assert now.posterior is not None and now.read.rows is not None
+    assert {"point": "d"} in offers(now.posterior.setup).titles
+    of_d = now.read.rows.labels.refers[:, 0] == "d"
+    assert of_d.any() and now._knows()[of_d].all()
+    F, _ = now._columns(np.flatnonzero(of_d))
+    place = np.flatnonzero(np.any(F[:, :, : now.posterior.things] != 0.0, axis=(0, 1)))
+    assert len(place) == 3  # and it is known no better than its touches tell
+    noise = 5e-5 / np.sqrt(of_d.sum())
+    assert np.all(np.sqrt(np.diag(now.posterior.covariance)[place]) > 0.9 * noise)
+
+
 def test_a_point_that_only_a_length_names_is_asked_for_by_hand_until_it_is_touched_or_refused(tmp_path: Path) -> None:
     """Touched, it may be proposed like the others; refused, it is not asked for again, and rows go on."""
     (tmp_path / "scara.urdf").write_text(SCARA)

@@ -97,7 +97,7 @@
         list.append(made("li", Object.entries(pose).map(([name, value]) => `${name} ${Number(value.toFixed(4))}`).join(", ")));
       }
       by("stop").replaceChildren(
-        made("h2", `■ Enough: ${state.stop.why}`),
+        made("h2", state.stop.why === "asked" ? "■ Stopped, as you asked" : `■ Enough: ${state.stop.why}`),
         made("p", state.stop.words),
         made("p", state.report || "The full search is running."),
         made("p", "Poses that check the result:"),
