@@ -398,23 +398,28 @@ def _one(arm: str, kind: str, folder: Path, seed: int) -> Draw:
 CANDIDATES, STEPS = 600, 400
 
 
-LIMIT_COLUMNS = "random  greedy  bound  greedy/random  bound/random"
+LIMIT_COLUMNS = "random  plan  greedy  bound  greedy/random  bound/random  greedy/plan  bound/plan"
 
 
-def print_limits(title: str, seeds: range, limit: Callable[[Path, int], tuple[int, int, int]]) -> None:
+def print_limits(title: str, seeds: range, limit: Callable[[Path, int], Fewest]) -> None:
     """What any choice of rows could reach, by the sigma of the target, all about the model that random rows gave.
 
-    ``greedy`` is the best row after row. ``bound`` is no choice: the least n at which n times the best mixture of configurations
-    keeps the tolerance, parts of rows allowed (by the multiplicative algorithm, Silvey, Titterington and Torsney 1978); no
-    n rows of the same candidates can do better.
+    ``greedy`` is the best row after row; ``plan`` is the same chosen by what is known before any row. ``bound`` is no choice: the
+    least n at which n times the best mixture of configurations keeps the tolerance, parts of rows allowed (by the multiplicative
+    algorithm, Silvey, Titterington and Torsney 1978); no n rows of the same candidates can do better.
     """
     figures = []
     for seed in seeds:
         with tempfile.TemporaryDirectory() as name:
             figures.append(limit(Path(name), seed))
-    random, best, bound = np.median(np.array(figures), axis=0)
-    ratios = np.median(np.array([[b / r, least / r] for r, b, least in figures]), axis=0)
-    print(f"{title:20s} {random:6.0f} {best:7.0f} {bound:6.0f} {ratios[0]:14.2f} {ratios[1]:13.2f}", flush=True)
+    random, plan, best, bound = np.median(np.array([(d.random, d.plan, d.greedy, d.bound) for d in figures]), axis=0)
+    every = [(d.greedy / d.random, d.bound / d.random, d.greedy / d.plan, d.bound / d.plan) for d in figures]
+    ratios = np.median(np.array(every), axis=0)
+    print(
+        f"{title:20s} {random:6.0f} {plan:5.0f} {best:7.0f} {bound:6.0f} {ratios[0]:14.2f} {ratios[1]:13.2f} {ratios[2]:12.2f} "
+        f"{ratios[3]:11.2f}",
+        flush=True,
+    )
 
 
 def limits(arguments: argparse.Namespace) -> None:
@@ -426,7 +431,7 @@ def limits(arguments: argparse.Namespace) -> None:
             print_limits(f"{arm} {kind}", seeds, partial(_limit, arm, kind))
 
 
-def _limit(arm: str, kind: str, folder: Path, seed: int) -> tuple[int, int, int]:
+def _limit(arm: str, kind: str, folder: Path, seed: int) -> Fewest:
     """One draw."""
     one = cell(folder, arm, kind, seed)
     prior = session(one.campaign, one.arm.simulation.robot, None).prior
@@ -435,23 +440,38 @@ def _limit(arm: str, kind: str, folder: Path, seed: int) -> tuple[int, int, int]
     return fewest(_fresh(one, draw_candidates(prior.setup, FLOOR_ROWS, FLOOR_ROWS, rng).readings), rng)
 
 
-def fewest(now: Session, rng: np.random.Generator) -> tuple[int, int, int]:
-    """Rows until twice the sigma of all random rows in a table is kept: random, greedy, and the bound; see above."""
+@dataclass(frozen=True)
+class Fewest:
+    """Rows until twice the sigma of all random rows is kept, see :func:`print_limits`; NaN where nothing can be planned."""
+
+    random: int
+    plan: float
+    greedy: int
+    bound: int
+
+
+def fewest(now: Session, rng: np.random.Generator) -> Fewest:
+    """The fewest rows of each way of choosing them, about the model of all rows in a table."""
     count = len(rows_so_far(now.campaign, now.robot, now.table, now.read).index)
     *_, known = models(now, [n for n in COUNTS if n < count] + [count])
     assert known is not None
     F, r = now._columns(np.arange(count))
-    some = pool(known.with_rows(F, r, -1.0), draw_candidates(known.setup, CANDIDATES, 1, rng), now.region, None).choice
+    candidates = draw_candidates(known.setup, CANDIDATES, 0, rng)
+    some = pool(known.with_rows(F, r, -1.0), candidates, now.region, None).choice
     order = rng.permutation(len(some.rows))
     of_random = [rms_sigma(some, some.information(order[:n])) for n in range(1, min(count, len(order)) + 1)]
     tolerance = 2.0 * of_random[-1]
-    chosen = greedy(some, count // 2)
-    best = [rms_sigma(some, some.information(chosen[:n])) for n in range(1, len(chosen) + 1)]
-    few, enough = 1, until(best, tolerance)
+
+    def kept(chosen: list[int]) -> int:
+        return until([rms_sigma(some, some.information(chosen[:n])) for n in range(1, len(chosen) + 1)], tolerance)
+
+    plan = np.nan if now.prior is None else kept(greedy(pool(now.prior, candidates, now.region, None).choice, count))
+    best = kept(greedy(some, count // 2))
+    few, enough = 1, best
     while enough - few > 1:
         middle = (few + enough) // 2
         few, enough = (few, middle) if _mixture(some, middle) <= tolerance else (middle, enough)
-    return until(of_random, tolerance), until(best, tolerance), enough
+    return Fewest(until(of_random, tolerance), plan, best, enough)
 
 
 def _mixture(some: RowChoice, n: int) -> float:

@@ -35,6 +35,7 @@ from guide import (
     PLAN_FITS,
     PLANS,
     Draw,
+    Fewest,
     _gone_on,
     cell,
     delivered_poses,
@@ -321,7 +322,7 @@ def faults(arms: list[str], seeds: range) -> None:
             )
 
 
-def limit(arm: str, folder: Path, seed: int) -> tuple[int, int, int]:
+def limit(arm: str, folder: Path, seed: int) -> Fewest:
     """Images until twice the sigma of 100 random ones is kept: random, greedy, and the bound."""
     eye = workcell(folder, arm, seed)
     now = session(load_campaign(folder / "campaign.yaml"), eye.arm.simulation.robot, None)

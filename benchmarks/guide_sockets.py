@@ -31,6 +31,7 @@ from guide import (
     MOST_ROWS,
     NOISE,
     Draw,
+    Fewest,
     cell,
     draws_of,
     fewest,
@@ -157,7 +158,7 @@ def _at_random(campaign: Campaign, ball: Ball, rng: np.random.Generator) -> Sess
     return now
 
 
-def limit(arm: str, folder: Path, seed: int) -> tuple[int, int, int]:
+def limit(arm: str, folder: Path, seed: int) -> Fewest:
     """Touches until twice the sigma of 200 random ones is kept: random, greedy, and the bound."""
     ball, rng = workcell(folder, arm, seed), np.random.default_rng([seed, 13])
     return fewest(_at_random(load_campaign(folder / "campaign.yaml"), ball, rng), rng)
