@@ -30,6 +30,10 @@ LOOKS, TOGETHER = 8, 32
 WAYS = 150
 """Work: Poses to which a way is sought: where none of the best has one, the arm is boxed in, and the user finds a way."""
 
+MORE_IMAGES, KEPT_IMAGES = 30, 450
+"""Poses for images that are drawn with each image, as those that show a board must be sought, and a row is answered within a
+second; and how many are chosen from: of 90 the best ones take a quarter more images than of 600."""
+
 AHEAD = 10
 """Rows ahead that say whether more of them gain anything."""
 
@@ -50,6 +54,12 @@ class Pool:
 def drawn(posterior: Posterior, rng: np.random.Generator) -> Candidates:
     """Configurations that can be measured."""
     return configurations(posterior.setup, rng)
+
+
+def more_of(candidates: Candidates, posterior: Posterior, rng: np.random.Generator) -> Candidates:
+    """The configurations of images with some more, the earliest left out beyond :data:`KEPT_IMAGES`."""
+    every = candidates.and_more(configurations(posterior.setup, rng, MORE_IMAGES))
+    return every.some(np.arange(max(0, len(every.readings) - KEPT_IMAGES), len(every.readings)))
 
 
 def pool(posterior: Posterior, candidates: Candidates, region: np.ndarray, here: np.ndarray | None) -> Pool:

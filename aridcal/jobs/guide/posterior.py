@@ -178,10 +178,10 @@ def _usual(c: Coefficient) -> float:
 _COMPONENTS = ANGULAR | {"x", "y", "z", "a", "d"}
 
 
-def configurations(setup: PlanSetup, rng: np.random.Generator) -> Candidates:
+def configurations(setup: PlanSetup, rng: np.random.Generator, count: int | None = None) -> Candidates:
     """Configurations that can be measured, to choose from; none of a point to which the arm does not come."""
     traits = setup.campaign.measurements.traits
-    return draw_candidates(setup, SMALL_POOL if traits.condition or traits.images else POOL, 0, rng)
+    return draw_candidates(setup, count or (SMALL_POOL if traits.condition or traits.images else POOL), 0, rng)
 
 
 def before_rows(setup: PlanSetup) -> Posterior:

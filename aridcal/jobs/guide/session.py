@@ -30,6 +30,7 @@ from aridcal.jobs.guide.next_pose import (
     best_first,
     drawn,
     gain_ahead,
+    more_of,
     pool,
     reaches,
     region_columns,
@@ -843,6 +844,9 @@ class Session:
             self.candidates = drawn(now, self.rng)
             self.drawn_at = count
             self.drawn_with = self.posterior is not None
+        elif self._images and count > self.drawn_at:
+            self.candidates = more_of(self.candidates, now, self.rng)
+            self.drawn_at = count
         return pool(now, self.candidates, self.region, self.here())
 
     def _next(self, now: Posterior, some: Pool) -> Next:

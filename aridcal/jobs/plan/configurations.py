@@ -77,6 +77,16 @@ class Candidates:
         of = np.repeat(np.arange(len(indices)), end - first)
         return Candidates(self.readings[indices], self.sides[indices], self.offer[indices], self.pattern[rows], of)
 
+    def and_more(self, more: Candidates) -> Candidates:
+        """These candidates, and others of the same setup after them."""
+        return Candidates(
+            np.concatenate([self.readings, more.readings]),
+            np.concatenate([self.sides, more.sides]),
+            np.concatenate([self.offer, more.offer]),
+            np.concatenate([self.pattern, more.pattern]),
+            np.concatenate([self.of, more.of + len(self.readings)]),
+        )
+
     @property
     def first(self) -> np.ndarray:
         """Pattern of each candidate's first row, shape (C,)."""
