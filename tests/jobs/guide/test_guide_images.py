@@ -19,8 +19,10 @@ from aridcal.engine.model.predictions import rows_of_data
 from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.guide import main
 from aridcal.jobs.guide.events import Alarm, Event, Known, Next, RowRead
+from aridcal.jobs.guide.next_pose import KEPT_IMAGES, MORE_IMAGES, more_of
 from aridcal.jobs.guide.session import Session, session
 from aridcal.jobs.plan.configurations import draw_candidates
+from aridcal.jobs.plan.information import stack_by_candidate, whitened
 from aridcal.runs.guided_campaign import Incoming, followed
 from aridcal.system.errors import MeasurementError
 
@@ -155,6 +157,30 @@ def test_what_is_said_to_be_known_from_images_holds_against_the_truth_and_an_ima
         assert row.document()["count"] == row.count == len(cell.now.read.lines_of(len(cell.now.read.index) - 1))
     assert min(claims) < 0.1 * max(claims)
     assert errors[-1] < 0.25 * errors[0]
+
+
+def test_poses_drawn_for_earlier_images_stay_to_be_chosen_from_and_tell_what_they_told(cell: Cell) -> None:
+    """Each image adds some; up to a number, beyond which the earliest go. Joined, each has the rows that it had alone."""
+    counts: list[int] = []
+    for _ in cell.led(6):
+        assert cell.now.candidates is not None
+        counts.append(len(cell.now.candidates.readings))
+    added = np.diff(counts[3:])  # once the model has begun
+    assert np.all(added == MORE_IMAGES)
+    known, few = cell.now.posterior, cell.now.candidates
+    assert known is not None and few is not None
+    more = draw_candidates(known.setup, 40, 1, np.random.default_rng(1))
+    both = few.and_more(more)
+    alone = [stack_by_candidate(whitened(known.setup, some), some) for some in (few, more)]
+    together = stack_by_candidate(whitened(known.setup, both), both)
+    expected = np.concatenate([np.einsum("cpd,cpe->cde", F, F) for F in alone])
+    np.testing.assert_allclose(
+        np.einsum("cpd,cpe->cde", together, together), expected, rtol=1e-7, atol=1e-7 * expected.max()
+    )
+    for _ in range(KEPT_IMAGES // MORE_IMAGES):
+        few = more_of(few, known, np.random.default_rng(2))
+    assert len(few.readings) == KEPT_IMAGES
+    assert not np.isin(few.readings[:, 0], both.readings[:50, 0]).any()
 
 
 @pytest.mark.parametrize("what", ["camera", "board"])
