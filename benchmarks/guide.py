@@ -26,6 +26,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -357,10 +358,18 @@ def _fresh(one: Cell, poses: np.ndarray) -> Session:
 def rows(arguments: argparse.Namespace) -> None:
     """Rows until twice the floor is kept: guided, random, planned beforehand; and the truth at the stop."""
     print(f"{'':28s} {COLUMNS}", flush=True)
-    for arm in arguments.arm or ARMS:
-        for kind in arguments.kind or NOISE:
-            seeds = range(arguments.first, arguments.first + arguments.draws)
-            print_draws(f"{arm} {kind}", seeds, partial(_one, arm, kind))
+    for arm, kind in _kinds_of_cell(arguments):
+        print_draws(f"{arm} {kind}", seeds_of(arguments), partial(_one, arm, kind))
+
+
+def _kinds_of_cell(arguments: argparse.Namespace) -> Iterator[tuple[str, str]]:
+    """Arms and kinds that were asked for."""
+    return product(arguments.arm or ARMS, arguments.kind or NOISE)
+
+
+def seeds_of(arguments: argparse.Namespace) -> range:
+    """Draws that were asked for."""
+    return range(arguments.first, arguments.first + arguments.draws)
 
 
 def _one(arm: str, kind: str, folder: Path, seed: int) -> Draw:
@@ -397,7 +406,6 @@ def _one(arm: str, kind: str, folder: Path, seed: int) -> Draw:
 
 CANDIDATES, STEPS = 600, 400
 
-
 LIMIT_COLUMNS = "random  plan  greedy  bound  greedy/random  bound/random  greedy/plan  bound/plan"
 
 
@@ -425,10 +433,8 @@ def print_limits(title: str, seeds: range, limit: Callable[[Path, int], Fewest])
 def limits(arguments: argparse.Namespace) -> None:
     """Rows until twice the sigma of 200 random ones is kept: random, greedy, and the bound."""
     print(f"{'':20s} {LIMIT_COLUMNS}", flush=True)
-    for arm in arguments.arm or ARMS:
-        for kind in arguments.kind or NOISE:
-            seeds = range(arguments.first, arguments.first + arguments.draws)
-            print_limits(f"{arm} {kind}", seeds, partial(_limit, arm, kind))
+    for arm, kind in _kinds_of_cell(arguments):
+        print_limits(f"{arm} {kind}", seeds_of(arguments), partial(_limit, arm, kind))
 
 
 def _limit(arm: str, kind: str, folder: Path, seed: int) -> Fewest:

@@ -47,6 +47,7 @@ from guide import (
     poses_now,
     print_draws,
     print_limits,
+    seeds_of,
     smallest_plan,
 )
 from hand_eye import CORNERS, LENS, SIZE
@@ -339,17 +340,15 @@ def main() -> None:
     parser.add_argument("--limit", action="store_true")
     arguments = parser.parse_args()
     if arguments.faults:
-        faults(arguments.arm or list(ARMS), range(arguments.first, arguments.first + arguments.draws))
+        faults(arguments.arm or list(ARMS), seeds_of(arguments))
     elif arguments.limit:
         print(f"{'':20s} {LIMIT_COLUMNS}", flush=True)
         for arm in arguments.arm or ARMS:
-            seeds = range(arguments.first, arguments.first + arguments.draws)
-            print_limits(f"{arm} images", seeds, partial(limit, arm))
+            print_limits(f"{arm} images", seeds_of(arguments), partial(limit, arm))
     else:
         print(f"{'':28s} {COLUMNS}", flush=True)
         for arm in arguments.arm or ARMS:
-            seeds = range(arguments.first, arguments.first + arguments.draws)
-            print_draws(f"{arm} images", seeds, partial(draw, arm))
+            print_draws(f"{arm} images", seeds_of(arguments), partial(draw, arm))
 
 
 if __name__ == "__main__":

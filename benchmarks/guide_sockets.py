@@ -40,6 +40,7 @@ from guide import (
     poses_now,
     print_draws,
     print_limits,
+    seeds_of,
 )
 from scipy.spatial.transform import Rotation
 
@@ -205,11 +206,10 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"{'':20s} {LIMIT_COLUMNS}" if arguments.limit else f"{'':28s} {COLUMNS}", flush=True)
     for arm in arguments.arm or ARMS:
-        seeds = range(arguments.first, arguments.first + arguments.draws)
         if arguments.limit:
-            print_limits(f"{arm} sockets", seeds, partial(limit, arm))
+            print_limits(f"{arm} sockets", seeds_of(arguments), partial(limit, arm))
             continue
-        print_draws(f"{arm} sockets", seeds, partial(draw, arm))
+        print_draws(f"{arm} sockets", seeds_of(arguments), partial(draw, arm))
 
 
 if __name__ == "__main__":
